@@ -1,0 +1,45 @@
+"""Robot navigation among people, learnt: ORCA, the Social Force Model and SARL in NumPy and torch.
+
+Names are imported when they are first used, so that `import sfmrl` costs nothing and torch is loaded only by what
+needs it.
+"""
+
+from importlib import import_module
+from typing import Any
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "config": (
+        "Config",
+        "ConfigError",
+        "Reinforcement",
+        "Imitation",
+        "Reward",
+        "Simulation",
+        "SocialForce",
+        "make_config",
+    ),
+    "sfm": ("goal_force", "repulsive_forces", "resultant", "sfm_velocities"),
+    "orca": ("orca_velocities",),
+    "network": ("ValueNetwork", "load_weights"),
+    "scenarios": ("Scenes", "sample_scenes"),
+    "rewards": ("Transition", "crowd_terms", "sfm_terms", "sfm_discount_terms", "reward_terms"),
+    "states": ("robot_states", "column_names"),
+    "crowd": ("World", "reset", "crowd_velocities", "transition", "advance"),
+    "policies": ("ACTIONS", "SarlPolicy", "load_policy"),
+    "episodes": ("Record", "play"),
+    "evaluation": ("evaluate", "metrics", "wilson"),
+}
+_WHERE = {name: module for module, names in _HOME.items() for name in names}
+__all__ = sorted([*_WHERE, "__version__"])
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module 'sfmrl' has no attribute {name!r}")
+    return getattr(import_module(f"sfmrl.{_WHERE[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,5 @@
+"""`python -m sfmrl`."""
+
+from sfmrl.cli import main
+
+main()

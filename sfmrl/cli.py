@@ -1,0 +1,324 @@
+"""The command line: thin commands that parse, call and print. Results on standard output, all else on standard error.
+
+Exit codes: 0 done, 1 failed, 2 wrong use, 130 interrupted. NumPy and torch are imported by the commands that need them.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from sfmrl.config import MIXES, VARIANTS, Config, ConfigError, make_config, override
+from sfmrl.files import DamagedFile, csv_text
+from sfmrl.options import settings_options
+
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Teach a robot to cross a crowd: imitate ORCA, then reinforce, with and without social forces.",
+)
+out = Console(highlight=False)
+err = Console(stderr=True, highlight=False)
+
+
+def option(help: str, *flags: str, **extra: Any) -> Any:
+    """A Typer option whose help text says all there is to say of its default."""
+    return typer.Option(*flags, help=help, show_default=False, **extra)
+
+
+Threads = Annotated[int | None, option("threads to use (default one a core)", min=1)]
+Device = Annotated[str, option("torch device: cpu, cuda, ... (default cpu)")]
+RunFolder = Annotated[Path | None, option("run folder to make (default a new one under runs/)")]
+Resume = Annotated[Path | None, option("go on with this run, to the same bits as if it had never stopped")]
+Overwrite = Annotated[bool, option("replace what is there already", "--overwrite")]
+Variant = Annotated[str | None, option(f"the paper's variant: {', '.join(VARIANTS)} (default sarl)")]
+PolicyName = Annotated[
+    str | None, typer.Argument(help="linear, orca, sfm, a run folder or a weights file (default the newest run)")
+]
+Environment = Annotated[
+    str | None,
+    option(f"1 to 5, circle, {', '.join(MIXES)}, or shares as in 1:0.7,2:0.3 (default the policy's test mix)"),
+]
+
+
+@app.command(epilog="Example: sfmrl il --preset paper --seed 1")
+@settings_options("", "simulation", "reward", "imitation")
+def il(
+    variant: Variant = None,
+    run: RunFolder = None,
+    resume: Resume = None,
+    overwrite: Overwrite = False,
+    threads: Threads = None,
+    device: Device = "cpu",
+    *,
+    settings: dict[str, Any],
+) -> None:
+    """Imitation: learn from ORCA's demonstrations what situations are worth."""
+    from sfmrl.imitation import imitate
+    from sfmrl.runs import create_run
+
+    use_threads(threads)
+    if resume:
+        current = reopen("il", resume, [variant, run, overwrite or None, *settings.values()])
+    else:
+        current = create_run("il", new_config(variant, settings), run, overwrite=overwrite)
+    train(current, lambda progress, stop: imitate(current, progress, stop, device))
+    say(f"done: {current.folder}; next: sfmrl rl --reward sfm, or sfmrl eval {current.folder}")
+
+
+@app.command(epilog="Example: sfmrl rl --reward sfm --episodes 3000")
+@settings_options("", "simulation", "reward", "reinforcement")
+def rl(
+    variant: Variant = None,
+    source: Annotated[
+        Path | None, option("imitation run to start from (default the newest that fits)", "--from")
+    ] = None,
+    from_scratch: Annotated[bool, option("start without imitation", "--from-scratch")] = False,
+    run: RunFolder = None,
+    resume: Resume = None,
+    overwrite: Overwrite = False,
+    threads: Threads = None,
+    device: Device = "cpu",
+    *,
+    settings: dict[str, Any],
+) -> None:
+    """Reinforcement: deep V-learning on from what imitation gave, then a test."""
+    from sfmrl.reinforcement import reinforce, start_run
+
+    use_threads(threads)
+    if resume:
+        current = reopen(
+            "rl", resume, [variant, source, from_scratch or None, run, overwrite or None, *settings.values()]
+        )
+    else:
+        if source and from_scratch:
+            raise ConfigError("--from and --from-scratch exclude each other")
+        schedule = settings.get("reinforcement", {})
+        if "environment" in schedule:
+            schedule.setdefault("test_environment", schedule["environment"])
+        current = start_run(new_config(variant, settings), source, from_scratch, run, overwrite)
+    if current.facts["imitation"]:
+        say(f"from imitation run {current.facts['imitation']}")
+    result = train(
+        current, lambda progress, stop: reinforce(current, progress, stop, say, threads=torch_threads(), device=device)
+    )
+    print_metrics(result, f"test of {current.folder}, environment {current.config.reinforcement.test_environment}")
+    say(f"done: {current.folder}; next: sfmrl eval, sfmrl ascii-render")
+
+
+@app.command("eval", epilog="Example: sfmrl eval orca --environment 2 --episodes 100 --csv orca.csv")
+@settings_options("simulation", "reward")
+def evaluate_command(
+    policy: PolicyName = None,
+    environment: Environment = None,
+    episodes: Annotated[int, option("test episodes (default 500)", min=1)] = 500,
+    seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
+    as_json: Annotated[bool, option("print JSON", "--json")] = False,
+    csv: Annotated[Path | None, option("write a line an episode to this file")] = None,
+    overwrite: Overwrite = False,
+    threads: Threads = None,
+    device: Device = "cpu",
+    *,
+    settings: dict[str, Any],
+) -> None:
+    """Test a policy: success, collisions, time-outs, navigation time, total reward."""
+    from sfmrl.evaluation import episode_rows, evaluate
+    from sfmrl.progress import show_progress
+
+    if csv and csv.exists() and not overwrite:
+        raise ConfigError(f"{csv} is there already; name another --csv, or replace it with --overwrite")
+    if csv and not csv.parent.is_dir():
+        raise ConfigError(f"there is no folder {csv.parent} for --csv {csv.name}")
+    chosen, name, config = choose(policy, settings, threads, device)
+    environment = environment or config.reinforcement.test_environment
+    result, record = evaluate(
+        chosen,
+        environment=environment,
+        episodes=episodes,
+        seed=seed,
+        reward=config.reward,
+        simulation=config.simulation,
+        progress=show_progress(err),
+    )
+    if csv:
+        csv.write_text(csv_text(episode_rows(record)))
+    if as_json:
+        print(json.dumps({"policy": name, "environment": environment, "seed": seed} | result, indent=2))
+        return
+    print_metrics(result, f"{name}, environment {environment}, {episodes} episodes, seed {seed}")
+    if result["failures"]:
+        first = result["failures"][0]
+        say(
+            f"{len(result['failures'])} failed; see one: "
+            + replay_command(policy, environment, seed, first["episode"], settings)
+        )
+
+
+@app.command("ascii-render", epilog="Example: sfmrl ascii-render orca --environment 3 --episode 17")
+@settings_options("simulation", "reward")
+def ascii_render(
+    policy: PolicyName = None,
+    environment: Environment = None,
+    episode: Annotated[int, option("number of the test episode (default 0)", min=0)] = 0,
+    seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
+    speed: Annotated[float, option("times real time (default 2)", min=0.01)] = 2.0,
+    frames: Annotated[int | None, option("print so many stills instead of playing (a pipe gets 6)", min=1)] = None,
+    ascii_only: Annotated[bool, option("7-bit characters only", "--ascii")] = False,
+    scenes: Annotated[bool, option("draw a sample of each environment, and play nothing", "--scenes")] = False,
+    threads: Threads = None,
+    device: Device = "cpu",
+    *,
+    settings: dict[str, Any],
+) -> None:
+    """Replay a test episode in the terminal."""
+    from sfmrl import replay
+    from sfmrl.episodes import play_episodes
+    from sfmrl.scenarios import ENVIRONMENTS, sample_scenes
+
+    plain = ascii_only or not (out.encoding or "").lower().startswith("utf")
+    size = {"width": max(out.width, 20), "height": max(out.height - 1, 8), "ascii_only": plain}
+    if scenes:
+        for name in [environment] if environment else "12345":
+            out.print(replay.scene_picture(sample_scenes(name, [episode], seed), **size))
+            out.print(ENVIRONMENTS.get(name, ""), end="\n\n")
+        return
+    chosen, name, config = choose(policy, settings, threads, device)
+    environment = environment or config.reinforcement.test_environment
+    scene = sample_scenes(environment, [episode], seed)
+    record = play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount)
+    pictures = replay.make_frames(record, 0, policy=chosen, label=name, reward=config.reward, **size)
+    if frames or not out.is_terminal or out.is_dumb_terminal:
+        for picture in replay.strip(pictures, frames or 6):
+            out.print(picture.text if out.is_terminal else picture.plain, highlight=False)
+    else:
+        replay.play_live(pictures, out, speed=speed)
+
+
+def say(text: str) -> None:
+    """A line on standard error."""
+    err.print(text, markup=False, soft_wrap=True)
+
+
+def new_config(variant: str | None, settings: dict[str, Any]) -> Config:
+    """The config of a new training from the options that were given."""
+    return make_config(settings.get("preset", "quick"), variant or "sarl", **settings)
+
+
+def reopen(kind: str, folder: Path, given: list[Any]) -> Any:
+    """The run to go on with; its settings are its own, so no other may be given."""
+    from sfmrl.runs import open_run
+
+    if any(value is not None for value in given):
+        raise ConfigError(f"--resume takes every setting from {folder}; leave out all but --threads and --device")
+    return open_run(folder, kind)
+
+
+def use_threads(threads: int | None) -> None:
+    """Let torch use so many threads: before any work, since the numbers may depend on it."""
+    import torch
+
+    torch.set_num_threads(threads or available_cores())
+
+
+def torch_threads() -> int:
+    """How many threads torch was told to use."""
+    import torch
+
+    return torch.get_num_threads()
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def train(run: Any, work: Callable[..., Any]) -> Any:
+    """Do a training's work; when it is asked to stop, say how to go on and exit with 130."""
+    from sfmrl.progress import show_progress
+    from sfmrl.runs import Interrupted, StopSignal
+
+    how = f"sfmrl {run.kind} --resume {run.folder}"
+    if run.finished:
+        raise ConfigError(f"{run.folder} is finished; there is nothing to go on with")
+    say(f"run folder {run.folder}")
+    with StopSignal() as stop:
+        try:
+            return work(show_progress(err), stop)
+        except (Interrupted, KeyboardInterrupt):
+            say(f"interrupted; go on with: {how}")
+            raise typer.Exit(130) from None
+
+
+def choose(policy: str | None, settings: dict[str, Any], threads: int | None, device: str) -> tuple[Any, str, Config]:
+    """The policy to play, its name, and its config with the options that were given."""
+    from sfmrl.policies import POLICIES, load_policy
+
+    name = policy or newest()
+    if name not in POLICIES:
+        use_threads(threads)
+    chosen = load_policy(name, threads=threads or available_cores(), device=device)
+    return chosen, name, override(getattr(chosen, "config", Config()), settings)
+
+
+def newest() -> str:
+    """The newest finished run, named on standard error."""
+    from sfmrl.runs import newest_run
+
+    folder = str(newest_run())
+    say(f"policy: {folder}")
+    return folder
+
+
+def replay_command(policy: str | None, environment: str, seed: int, episode: int, settings: dict[str, Any]) -> str:
+    """What to type to see a test episode."""
+    words = ["sfmrl ascii-render", policy or "", f"--environment {environment} --seed {seed} --episode {episode}"]
+    for section in settings.values():
+        words += [
+            f"--{name.replace('_', '-')} {value}" for name, value in section.items() if not isinstance(value, bool)
+        ]
+        words += [
+            f"--{'' if on else 'no-'}{name.replace('_', '-')}" for name, on in section.items() if isinstance(on, bool)
+        ]
+    return " ".join(word for word in words if word)
+
+
+def print_metrics(result: dict[str, Any], title: str) -> None:
+    """Metrics as a table: a row in all, and one for each environment."""
+    table = Table(title=title, title_justify="left")
+    for heading in ("", "success", "collision", "time-out", "nav. time", "total reward", "episodes"):
+        table.add_column(heading, justify="right" if heading else "left")
+    rows = {"all": result, **{f"env. {name}": row for name, row in result.get("environments", {}).items()}}
+    for name, row in rows.items():
+        rates = [f"{row[rate]:.3f} [dim]{low:.2f}-{high:.2f}[/dim]" for rate, (low, high) in row["intervals"].items()]
+        time = "-" if row["navigation_time"] is None else f"{row['navigation_time']:.2f} s"
+        table.add_row(name, *rates, time, f"{row['total_reward']:.4f}", str(row["episodes"]))
+    out.print(table)
+
+
+def main() -> None:
+    """The `sfmrl` command: every expected failure is one line on standard error."""
+    try:
+        code = app(standalone_mode=False)
+    except typer.TyperException as error:
+        code, reason = 2, error.format_message()
+    except (ConfigError, DamagedFile) as error:
+        code, reason = 2, str(error)
+    except (KeyboardInterrupt, typer.Abort):
+        code, reason = 130, "interrupted"
+    except BrokenPipeError:  # the reader of a pipe has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code, reason = 0, ""
+    except OSError as error:
+        code, reason = 1, f"{error.filename or ''}: {error.strerror or error}".strip(": ")
+    else:
+        reason = ""
+    if reason:
+        say(f"sfmrl: {reason}")
+    sys.exit(code or 0)

@@ -1,0 +1,257 @@
+"""Every knob of sfmrl, once: its default, its unit, where it comes from, and what `--help` says of it.
+
+Frozen dataclasses, checked when they are made. The plain defaults are the paper's ("Effects of a Social Force Model
+reward in Robot Navigation based on Deep Reinforcement Learning", Gil and Sanfeliu) or, where it says "same as CRI",
+those of CrowdNav/SARL (Chen et al., 2019); `PRESETS` and `VARIANTS` are overrides as data.
+"""
+
+import difflib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from typing import Any
+
+
+class ConfigError(ValueError):
+    """A setting that cannot be used; its text is one line that names the setting and the remedy."""
+
+
+def knob(default: Any, help: str, *, least: float | None = None, most: float | None = None, choices: tuple = ()) -> Any:
+    """A dataclass field with its help text, and the range or choices that its values are held to."""
+    return field(default=default, metadata={"help": help, "least": least, "most": most, "choices": choices})
+
+
+def _check(config: Any) -> None:
+    """Hold each field of a config dataclass to its type, range and choices."""
+    for item in fields(config):
+        value, default, meta = getattr(config, item.name), item.default, item.metadata
+        name = item.name.replace("_", "-")
+        if isinstance(default, bool):
+            if not isinstance(value, bool):
+                raise ConfigError(f"{name} is {value!r}; it takes true or false")
+        elif isinstance(default, (int, float)):
+            kinds = int if isinstance(default, int) else (int, float)
+            if isinstance(value, bool) or not isinstance(value, kinds) or value != value:
+                raise ConfigError(f"{name} is {value!r}; it takes {'a whole' if kinds is int else 'a'} number")
+            if isinstance(default, float):
+                object.__setattr__(config, item.name, float(value))
+        if meta.get("least") is not None and value < meta["least"]:
+            raise ConfigError(f"{name} is {value}; it must be at least {meta['least']:g}")
+        if meta.get("most") is not None and value > meta["most"]:
+            raise ConfigError(f"{name} is {value}; it must be at most {meta['most']:g}")
+        if meta.get("choices") and value not in meta["choices"]:
+            raise ConfigError(
+                f"{name} is {value!r}; choose {', '.join(meta['choices'])}{suggest(value, meta['choices'])}"
+            )
+
+
+def suggest(word: Any, known: Any) -> str:
+    """The end of an error message: "; did you mean ...?" where a known word is close, else nothing."""
+    close = difflib.get_close_matches(str(word), [str(item) for item in known], n=1)
+    return f"; did you mean {close[0]}?" if close else ""
+
+
+class _Checked:
+    def __post_init__(self) -> None:
+        _check(self)
+
+
+@dataclass(frozen=True)
+class SocialForce(_Checked):
+    """Parameters of equations 1 and 2; the defaults are the paper's, for the robot's state."""
+
+    a: float = knob(1.0, "strength of the repulsion, m/s^2 (paper: a_z = 1)", least=0)
+    b: float = knob(1.0, "range of the repulsion, m (paper: b_z = 1)", least=1e-6)
+    d: float = knob(0.0, "distance at which the repulsion is a, m (paper: d_z = 0)")
+    k: float = knob(2.0, "rate at which the goal force corrects the velocity, 1/s", least=0)
+
+
+@dataclass(frozen=True)
+class Simulation(_Checked):
+    """How the crowd moves and when an episode ends; CRI's values."""
+
+    time_step: float = knob(0.25, "length of a step, s", least=1e-3)
+    time_limit: float = knob(25.0, "an episode is timed out 1 s before this time, s (CRI)", least=1)
+    crowd: str = knob("orca", "what drives the humans", choices=("orca", "sfm"))
+    robot_visible: bool = knob(True, "the humans see the robot (paper: they do)")
+    safety_space: float = knob(0.0, "added to every radius when ORCA drives the robot, m", least=0)
+    clearance: float = knob(0.01, "added to every radius inside ORCA, m (CRI)", least=0)
+    neighbor_distance: float = knob(10.0, "ORCA: agents farther away are ignored, m (CRI)", least=0)
+    max_neighbors: int = knob(10, "ORCA: only so many nearest agents count (CRI)", least=0)
+    time_horizon: float = knob(5.0, "ORCA: looks so far ahead for agents, s (CRI)", least=1e-3)
+    obstacle_time_horizon: float = knob(5.0, "ORCA: looks so far ahead for polygons, s (CRI)", least=1e-3)
+
+
+@dataclass(frozen=True)
+class Reward(_Checked):
+    """Numbers of the rewards: CRI's, and the paper's second formula."""
+
+    reward: str = knob("crowd", "crowd (CRI), sfm, sfm-discount (paper), or your own: file.py:function")
+    success: float = knob(1.0, "reward for reaching the goal (CRI)")
+    collision: float = knob(-0.25, "reward for a collision (CRI)")
+    discomfort_distance: float = knob(0.2, "closer than this is too close, m (CRI)", least=0)
+    discomfort_slope: float = knob(0.125, "crowd: penalty per metre too close (CRI: 0.25 / 2)")
+    discomfort_amplitude: float = knob(-0.03, "sfm: reward at zero separation (the paper's A)")
+    discomfort_decay: float = knob(10.0, "sfm: how fast it fades with separation, 1/m (the paper's B)")
+    k: float = knob(0.001, "sfm: weight of moving at the preferred velocity (the paper's k)")
+    distance_weight: float = knob(0.0001, "sfm: penalty per metre from the goal")
+    discount_start: float = knob(10.0, "sfm-discount: arriving later than this costs, s")
+    discount_rate: float = knob(0.02, "sfm-discount: cost per second late")
+
+
+_OPTIMIZERS = ("sgd", "adam")
+_SCHEDULES = ("constant", "linear", "one-cycle")
+
+
+@dataclass(frozen=True)
+class Imitation(_Checked):
+    """Learning from ORCA's demonstrations; the paper's numbers."""
+
+    episodes: int = knob(3000, "demonstrations by ORCA", least=1)
+    epochs: int = knob(50, "passes over the demonstrations", least=1)
+    batch_size: int = knob(100, "states in a batch", least=1)
+    optimizer: str = knob("sgd", "sgd (momentum 0.9) or adam", choices=_OPTIMIZERS)
+    learning_rate: float = knob(0.01, "learning rate", least=0)
+    schedule: str = knob("constant", "how the learning rate moves over the training", choices=_SCHEDULES)
+    environment: str = knob("1", "environments of the demonstrations")
+
+
+@dataclass(frozen=True)
+class Reinforcement(_Checked):
+    """Deep V-learning; the paper's numbers, CRI's where it is silent."""
+
+    episodes: int = knob(10_000, "training episodes", least=1)
+    parallel: int = knob(1, "episodes played side by side", least=1)
+    batches: int = knob(100, "batches of learning an episode (CRI)", least=0)
+    batch_size: int = knob(100, "states in a batch", least=1)
+    optimizer: str = knob("sgd", "sgd (momentum 0.9) or adam", choices=_OPTIMIZERS)
+    learning_rate: float = knob(0.001, "learning rate", least=0)
+    schedule: str = knob("constant", "how the learning rate moves over the training", choices=_SCHEDULES)
+    epsilon_start: float = knob(0.5, "share of random actions at the start (CRI)", least=0, most=1)
+    epsilon_end: float = knob(0.1, "share of random actions in the end (CRI)", least=0, most=1)
+    epsilon_episodes: int = knob(4000, "episodes from the first share to the last (CRI)", least=1)
+    targets: str = knob(
+        "td",
+        "values to learn: td, reward plus the target network's next value, or returns, what followed to the next random action",
+        choices=("td", "returns"),
+    )
+    target_interval: int = knob(50, "episodes between updates of the target network (CRI)", least=1)
+    memory: int = knob(100_000, "states kept to learn from (CRI)", least=1)
+    keep_timeouts: bool = knob(False, "learn from timed-out episodes too, as worth 0 at their end (CRI drops them)")
+    average: int = knob(0, "test with weights averaged over about so many batches; 0 is off", least=0)
+    environment: str = knob("table1", "environments to train in, and their shares")
+    test_environment: str = knob("table1", "environments of validation and test (paper: table 1's mix in all its rows)")
+    validation_interval: int = knob(1000, "episodes between validations", least=1)
+    validation_episodes: int = knob(100, "episodes of a validation", least=1)
+    test_episodes: int = knob(500, "episodes of the final test", least=1)
+
+
+@dataclass(frozen=True)
+class Config:
+    """Everything that decides a training's numbers."""
+
+    seed: int = knob(0, "seed of everything random", least=0)
+    preset: str = knob("quick", "schedule to start from: quick (minutes) or paper (hours, as published)")
+    forces: bool = knob(False, "social forces in the state: 17 columns instead of 13")
+    discount: float = knob(0.9, "discount per second at 1 m/s (CRI's gamma)", least=0, most=1)
+    value_prior: bool = knob(False, "write the value as 0.9^(goal distance - 0.3) (0.8 + network)")
+    stop_at_collision: bool = knob(False, "when looking ahead, a collision has no value beyond its reward")
+    simulation: Simulation = field(default_factory=Simulation)
+    reward: Reward = field(default_factory=Reward)
+    imitation: Imitation = field(default_factory=Imitation)
+    reinforcement: Reinforcement = field(default_factory=Reinforcement)
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+    def to_json(self) -> str:
+        """The whole config as indented JSON."""
+        return json.dumps(asdict(self), indent=2)
+
+    @staticmethod
+    def from_json(text: str) -> "Config":
+        """The config that `to_json` wrote; raises ConfigError on unknown keys and bad values."""
+        return override(Config(), json.loads(text))
+
+
+def override(config: Any, changes: Mapping[str, Any]) -> Any:
+    """A copy of a config dataclass with `changes`, which may nest as the config does; unknown keys are errors."""
+    values = {}
+    known = [item.name for item in fields(config)]
+    for name, value in changes.items():
+        if name not in known:
+            raise ConfigError(f"there is no setting {name!r} in {type(config).__name__.lower()}{suggest(name, known)}")
+        old = getattr(config, name)
+        values[name] = override(old, value) if is_dataclass(old) else value
+    return replace(config, **values)
+
+
+# The crowd's own social forces, for `--crowd sfm`: Helbing and Molnar's 2.1 m^2/s^2 over 0.3 m, from contact of two
+# discs of 0.3 m, and a relaxation time of 0.5 s. The paper's (1, 1, 0) describes the robot's surroundings; as a crowd
+# model it would let people walk through each other.
+CROWD_FORCE = SocialForce(a=7.0, b=0.3, d=0.6, k=2.0)
+
+# The paper's environments, and the mixes of its two tables (shares add up to 1).
+MIXES = {"table1": "1:0.7,2:0.3", "table2": "2:0.25,3:0.25,4:0.25,5:0.25"}
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "paper": {"preset": "paper"},
+    "quick": {
+        "preset": "quick",
+        "value_prior": True,
+        "stop_at_collision": True,
+        "imitation": {
+            "episodes": 1000,
+            "epochs": 6,
+            "batch_size": 200,
+            "optimizer": "adam",
+            "learning_rate": 2e-3,
+            "schedule": "one-cycle",
+        },
+        "reinforcement": {
+            "episodes": 2000,
+            "parallel": 32,
+            "batches": 6,
+            "batch_size": 200,
+            "optimizer": "adam",
+            "learning_rate": 5e-4,
+            "schedule": "linear",
+            "epsilon_start": 0.2,
+            "epsilon_end": 0.05,
+            "epsilon_episodes": 500,
+            "targets": "returns",
+            "keep_timeouts": True,
+            "average": 300,
+        },
+    },
+}
+
+# The seven rows of the paper's table 1.
+VARIANTS: dict[str, dict[str, Any]] = {
+    "sarl": {},
+    "sarl-sfm": {"reward": {"reward": "sfm-discount"}},
+    "sarl-sfm2": {"reward": {"reward": "sfm"}},
+    "sarl-sfm3": {"reward": {"reward": "sfm"}, "reinforcement": {"environment": "1"}},
+    "sarl-sfm4": {"reward": {"reward": "sfm", "k": 0.003}},
+    "sarl-sfm5": {"forces": True},
+    "sarl-sfm6": {"forces": True, "reward": {"reward": "sfm"}},
+}
+
+
+def make_config(preset: str = "quick", variant: str = "sarl", **changes: Any) -> Config:
+    """The config of a preset and a variant with single settings changed; raises ConfigError on unknown names."""
+    for kind, name, table in (("preset", preset, PRESETS), ("variant", variant, VARIANTS)):
+        if name not in table:
+            raise ConfigError(f"there is no {kind} {name!r}; choose {', '.join(table)}{suggest(name, table)}")
+    return override(override(override(Config(), PRESETS[preset]), VARIANTS[variant]), changes)
+
+
+def variant_name(config: Config) -> str:
+    """The paper's name for a config's reward, state and environments, or a description where it has none."""
+    for name in VARIANTS:
+        known = make_config(config.preset, name)
+        same = (config.reward, config.forces, config.reinforcement.environment)
+        if same == (known.reward, known.forces, known.reinforcement.environment):
+            return name
+    reward = config.reward.reward.rpartition(":")[2]
+    return f"custom-{reward}{'-forces' if config.forces else ''}"

@@ -1,0 +1,159 @@
+"""The simulator: a world of E episodes, what its crowd does next, and what a robot's action would lead to.
+
+Pure functions over a frozen `World`. A step is: `crowd_velocities` (which do not depend on the robot's action),
+the policy's choice, `transition` (the one place where outcomes are judged), `advance`. Looking ahead calls the same
+`transition` with every action at once. CRI's habits are kept: the gap to a person is the smallest in the step, with
+the robot moving as it is about to and the person as before the step; a time-out is judged before anything else.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from sfmrl.config import CROWD_FORCE, Simulation
+from sfmrl.geometry import closest_approach, direction, length, limit
+from sfmrl.orca import Edges, orca_velocities, polygon_edges
+from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
+from sfmrl.scenarios import Scenes
+from sfmrl.sfm import sfm_velocities
+
+
+@dataclass(frozen=True)
+class World:
+    """E episodes at one moment, each of N rows: the robot (row 0), people, squares; absent rows are NaN.
+
+    `episode` (E,) says which row of the scenes each episode is, `steps` (E,) how many steps it has taken.
+    """
+
+    position: np.ndarray  # (E, N, 2) m
+    velocity: np.ndarray  # (E, N, 2) m/s
+    steps: np.ndarray  # (E,)
+    goal: np.ndarray  # (E, N, 2) m
+    radius: np.ndarray  # (E, N) m
+    v_pref: np.ndarray  # (E, N) m/s
+    square: np.ndarray  # (E, N) bool
+    edges: Edges  # the squares' outlines, for ORCA
+    episode: np.ndarray  # (E,)
+    simulation: Simulation
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    @property
+    def time(self) -> np.ndarray:
+        """Seconds since the start, (E,)."""
+        return self.steps * self.simulation.time_step
+
+    @property
+    def preferred_velocity(self) -> np.ndarray:
+        """Everyone's way to the goal, at most v_pref long (CRI: shorter within reach of the goal), (E, N, 2) m/s."""
+        return limit(self.goal - self.position, self.v_pref)
+
+    def take(self, rows: np.ndarray) -> "World":
+        """The world of some of the episodes: an index array."""
+        kept = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name not in ("edges", "simulation")}
+        return World(**kept, edges=self.edges.take(rows), simulation=self.simulation)
+
+
+def reset(scenes: Scenes, simulation: Simulation = Simulation()) -> World:
+    """The world in which all `scenes` stand at their starts, everybody at rest."""
+    velocity = np.where(np.isnan(scenes.start), np.nan, 0.0)
+    return World(
+        position=scenes.start,
+        velocity=velocity,
+        steps=np.zeros(len(scenes), dtype=int),
+        goal=scenes.goal,
+        radius=scenes.radius,
+        v_pref=scenes.v_pref,
+        square=scenes.square,
+        edges=polygon_edges(scenes.polygons),
+        episode=np.arange(len(scenes)),
+        simulation=simulation,
+    )
+
+
+def crowd_velocities(world: World) -> np.ndarray:
+    """Velocities of everybody in the coming step, (E, N, 2) m/s; squares rest, absent rows are NaN.
+
+    Row 0 is how the crowd's model would move the robot if it were one of them; NaN where the people do not see it.
+    """
+    position = world.position
+    if not world.simulation.robot_visible:
+        position = position.copy()
+        position[:, 0] = np.nan
+    velocity = CROWDS[world.simulation.crowd](world, position)
+    return np.where(world.square[..., None], 0.0, velocity)
+
+
+def orca_crowd(
+    world: World, position: np.ndarray, agents: np.ndarray | None = None, safety_space: float = 0.0
+) -> np.ndarray:
+    """ORCA's velocities (E, N, 2) for those of `agents` (E, N), or all; `safety_space` m is added to every radius."""
+    simulation = world.simulation
+    return orca_velocities(
+        np.where(world.square[..., None], np.nan, position),
+        world.velocity,
+        world.preferred_velocity,
+        world.radius + (simulation.clearance + safety_space),
+        world.v_pref,
+        world.edges,
+        agents=agents,
+        time_step=simulation.time_step,
+        neighbor_distance=simulation.neighbor_distance,
+        max_neighbors=simulation.max_neighbors,
+        time_horizon=simulation.time_horizon,
+        obstacle_time_horizon=simulation.obstacle_time_horizon,
+    )
+
+
+def sfm_crowd(world: World, position: np.ndarray) -> np.ndarray:
+    """The Social Force Model's velocities, (E, N, 2); squares push as their discs do."""
+    return sfm_velocities(
+        position,
+        world.velocity,
+        world.preferred_velocity,
+        world.v_pref,
+        force=CROWD_FORCE,
+        time_step=world.simulation.time_step,
+    )
+
+
+CROWDS = {"orca": orca_crowd, "sfm": sfm_crowd}
+
+
+def transition(world: World, action: np.ndarray) -> Transition:
+    """What the step would be in which the robot moves with `action`, (E, 2) or many at once, (E, A, 2), in m/s."""
+    simulation = world.simulation
+    many = (slice(None),) + (None,) * (action.ndim - 2)  # puts the axis of the actions into the world's arrays
+    robot, goal = world.position[:, 0][many], world.goal[:, 0][many]
+    offset = world.position[:, 1:][many] - robot[..., None, :]
+    relative_velocity = world.velocity[:, 1:][many] - action[..., None, :]
+    radii = (world.radius[:, 1:] + world.radius[:, :1])[many]
+    gap = closest_approach(offset, relative_velocity, simulation.time_step) - radii
+    separations = np.where(np.isnan(gap), np.inf, gap)
+
+    goal_distance = length(robot + action * simulation.time_step - goal)
+    hit = separations.min(axis=-1, initial=np.inf) < 0
+    there = goal_distance < world.radius[:, 0][many]
+    late = (world.time >= simulation.time_limit - 1.0)[many]
+    outcome = np.where(late, TIMEOUT, np.where(hit, COLLISION, np.where(there, SUCCESS, RUNNING)))
+    return Transition(
+        time=np.broadcast_to((world.time + simulation.time_step)[many], outcome.shape),
+        velocity=action,
+        preferred_velocity=np.broadcast_to(direction(goal - robot) * world.v_pref[:, 0][many][..., None], action.shape),
+        goal_distance=goal_distance,
+        separations=separations,
+        outcome=outcome,
+    )
+
+
+def advance(world: World, velocity: np.ndarray, action: np.ndarray) -> World:
+    """The world after a step with everybody's `velocity` (E, N, 2) and, for the robot, `action` (E, 2), in m/s."""
+    moved = velocity.copy()
+    moved[:, 0] = action
+    changed = {
+        "position": world.position + moved * world.simulation.time_step,
+        "velocity": moved,
+        "steps": world.steps + 1,
+    }
+    return World(**{**vars(world), **changed})

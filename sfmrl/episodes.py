@@ -1,0 +1,200 @@
+"""Play episodes to their end, many side by side, and keep a record of arrays that everything else reads.
+
+Episodes that end make room for waiting ones, so a batch stays full; which episodes share a batch changes no number.
+Rewards and returns are computed from the record afterwards: one set of episodes serves every reward and state.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from sfmrl.config import Reward, Simulation
+from sfmrl.crowd import World, advance, crowd_velocities, reset, transition
+from sfmrl.policies import Policy, find_policy, step_discount
+from sfmrl.rewards import OUTCOMES, RUNNING, Transition, reward_terms, total
+from sfmrl.scenarios import Scenes
+from sfmrl.states import robot_states
+
+BATCH = 256  # episodes side by side
+
+
+@dataclass(frozen=True)
+class Record:
+    """E played episodes: arrays over time, NaN (outcome: running) after an episode's end; T the longest's steps.
+
+    Entry t of `position` and `velocity` is the world before step t, and its reward and transition are step t's.
+    """
+
+    scenes: Scenes
+    simulation: Simulation
+    steps: np.ndarray  # (E,)
+    position: np.ndarray  # (E, T + 1, N, 2) m
+    velocity: np.ndarray  # (E, T + 1, N, 2) m/s
+    transition: Transition  # (E, T)
+    reward: np.ndarray  # (E, T)
+    discounted_return: np.ndarray  # (E,) from the first step on
+
+    @property
+    def outcome(self) -> np.ndarray:
+        """How each episode ended, (E,): "success", "collision" or "timeout"."""
+        return OUTCOMES[self.transition.outcome[np.arange(len(self.steps)), self.steps - 1]]
+
+    @property
+    def time(self) -> np.ndarray:
+        """Seconds until the end, (E,)."""
+        return self.steps * self.simulation.time_step
+
+    @property
+    def played(self) -> np.ndarray:
+        """Which steps took place, (E, T) bool."""
+        return np.arange(self.reward.shape[1]) < self.steps[:, None]
+
+    def take(self, rows: np.ndarray) -> "Record":
+        """The record of some of the episodes: an index array or a mask."""
+        arrays = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name not in ("scenes", "simulation")}
+        return Record(self.scenes.take(rows), self.simulation, **arrays)
+
+    def worlds(self) -> World:
+        """The worlds before every step played, flat: S of them in the order of episodes, then time."""
+        episode, step = np.nonzero(self.played)
+        start = reset(self.scenes, self.simulation).take(episode)
+        at = (episode, step)
+        return World(**{**vars(start), "position": self.position[at], "velocity": self.velocity[at], "steps": step})
+
+    def states(self, forces: bool) -> np.ndarray:
+        """Robot-centred states before every step played, (S, K, F), in the order of `worlds`."""
+        episode, step = np.nonzero(self.played)
+        position, velocity = self.position[episode, step], self.velocity[episode, step]
+        radius = self.scenes.radius[episode]
+        return robot_states(
+            position[:, 0],
+            velocity[:, 0],
+            self.scenes.goal[episode, 0],
+            radius[:, 0],
+            self.scenes.v_pref[episode, 0],
+            position[:, 1:],
+            velocity[:, 1:],
+            radius[:, 1:],
+            forces=forces,
+        )
+
+
+def play(
+    scenes: Scenes,
+    policy: str | Policy,
+    *,
+    reward: str | Reward = "crowd",
+    robot_visible: bool = True,
+    safety_space: float = 0.0,
+    crowd: str = "orca",
+    discount: float = 0.9,
+) -> Record:
+    """Play every scene to its end with `policy` (a name, or what `load_policy` returns) and return the record.
+
+    `reward` is a name, "file.py:function" or a `Reward` with its numbers; `safety_space` (m) widens the discs when
+    ORCA drives the robot; `crowd` is "orca" or "sfm"; `discount` is gamma per second at 1 m/s.
+    """
+    settings = reward if isinstance(reward, Reward) else Reward(reward=reward)
+    simulation = Simulation(crowd=crowd, robot_visible=robot_visible, safety_space=safety_space)
+    return play_episodes(scenes, find_policy(policy), settings, simulation, discount=discount)
+
+
+def play_episodes(
+    scenes: Scenes,
+    policy: Policy,
+    reward: Reward,
+    simulation: Simulation,
+    *,
+    discount: float = 0.9,
+    batch: int = BATCH,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Record:
+    """`play` with whole configs, `batch` episodes at a time; `progress` is told how many have ended."""
+    whole = reset(scenes, simulation)
+    count, rows = whole.position.shape[:2]
+    longest = longest_episode(simulation)
+    position = np.full((count, longest + 1, rows, 2), np.nan)
+    velocity = np.full((count, longest + 1, rows, 2), np.nan)
+    position[:, 0], velocity[:, 0] = whole.position, whole.velocity
+    kept = _empty_transition(count, longest, rows - 1)
+    steps = np.zeros(count, dtype=int)
+
+    world, waiting = whole.take(np.arange(min(batch, count))), min(batch, count)
+    while len(world):
+        moves = crowd_velocities(world)
+        action = policy(world, moves)
+        step = transition(world, action)
+        for item in fields(Transition):
+            getattr(kept, item.name)[world.episode, world.steps] = getattr(step, item.name)
+        world = advance(world, moves, action)
+        position[world.episode, world.steps] = world.position
+        velocity[world.episode, world.steps] = world.velocity
+        ended = step.outcome != RUNNING
+        if ended.any():
+            steps[world.episode[ended]] = world.steps[ended]
+            progress(int(ended.sum()))
+            fresh = min(int(ended.sum()), count - waiting)
+            world = _refill(whole, world, np.flatnonzero(~ended), np.arange(waiting, waiting + fresh))
+            waiting += fresh
+
+    steps_taken = int(steps.max(initial=0))
+    kept = kept[:, :steps_taken]
+    rewards = rewards_of(kept, steps, reward)
+    first = returns_of(rewards, step_discount(discount, scenes.v_pref[:, 0], simulation))[:, :1].sum(1)
+    position, velocity = position[:, : steps_taken + 1], velocity[:, : steps_taken + 1]
+    return Record(scenes, simulation, steps, position, velocity, kept, rewards, first)
+
+
+def longest_episode(simulation: Simulation) -> int:
+    """How many steps an episode can have: the first that starts 1 s before the time limit is the last."""
+    return int(np.ceil((simulation.time_limit - 1.0) / simulation.time_step - 1e-9)) + 1
+
+
+def rewards_of(transition: Transition, steps: np.ndarray, reward: Reward) -> np.ndarray:
+    """The reward of every step played, (E, T), NaN after an episode's end; `transition` (E, T), `steps` (E,)."""
+    played = np.arange(transition.outcome.shape[1]) < steps[:, None]
+    rewards = np.full(played.shape, np.nan)
+    rewards[played] = total(reward_terms(reward)(transition[played]))
+    return rewards
+
+
+def returns_of(rewards: np.ndarray, step_discount: np.ndarray, guess: np.ndarray | None = None) -> np.ndarray:
+    """Discounted sum of the rewards from each step on, (E, T).
+
+    `rewards` (E, T) are NaN after an episode's end, and so are the returns; `step_discount` (E,) is that of a step.
+    Where `guess` (E, T) is not NaN, it stands for all that follows from that step on.
+    """
+    returns = np.empty_like(rewards)
+    later = np.zeros(len(rewards))
+    for t in reversed(range(rewards.shape[1])):
+        returns[:, t] = rewards[:, t] + step_discount * later
+        later = np.nan_to_num(returns[:, t])
+        if guess is not None:
+            later = np.where(np.isnan(guess[:, t]), later, guess[:, t])
+    return returns
+
+
+def _refill(whole: World, world: World, going: np.ndarray, fresh: np.ndarray) -> World:
+    """The world of the episodes still going on, joined by `fresh` ones from their start."""
+    episode = np.concatenate((world.episode[going], fresh))
+    start = whole.take(episode)
+    n = len(going)
+    start.position[:n], start.velocity[:n], start.steps[:n] = (
+        world.position[going],
+        world.velocity[going],
+        world.steps[going],
+    )
+    return start
+
+
+def _empty_transition(count: int, steps: int, elements: int) -> Transition:
+    """A transition of (E, T) arrays to be filled in."""
+    return Transition(
+        time=np.full((count, steps), np.nan),
+        velocity=np.full((count, steps, 2), np.nan),
+        preferred_velocity=np.full((count, steps, 2), np.nan),
+        goal_distance=np.full((count, steps), np.nan),
+        separations=np.full((count, steps, elements), np.nan),
+        outcome=np.full((count, steps), RUNNING),
+    )

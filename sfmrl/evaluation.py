@@ -1,0 +1,100 @@
+"""How good is a policy: the paper's metrics over test episodes, with intervals, in all and by environment."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from sfmrl.config import Config, Reward, Simulation
+from sfmrl.episodes import Record, play_episodes
+from sfmrl.policies import Policy, find_policy
+from sfmrl.progress import Progress, no_progress
+from sfmrl.scenarios import sample_scenes
+
+RATES = ("success", "collision", "timeout")
+
+
+def evaluate(
+    policy: str | Policy,
+    *,
+    environment: str = "table1",
+    episodes: int = 500,
+    seed: int = 0,
+    reward: str | Reward | None = None,
+    simulation: Simulation = Simulation(),
+    phase: str = "test",
+    progress: Progress = no_progress,
+) -> tuple[dict[str, Any], Record]:
+    """Play test episodes with a policy; its metrics (see `metrics`), and the record they come from.
+
+    `reward` (for the total reward) is by default the policy's own, CRI's where it has none.
+    """
+    chosen = find_policy(policy)
+    own = getattr(chosen, "config", Config())
+    settings = own.reward if reward is None else reward if isinstance(reward, Reward) else Reward(reward=reward)
+    scenes = sample_scenes(environment, episodes, seed, phase=phase)
+    with progress(phase, episodes) as told:
+        record = play_episodes(scenes, chosen, settings, simulation, discount=own.discount, progress=told)
+    return metrics(record), record
+
+
+def metrics(record: Record) -> dict[str, Any]:
+    """The paper's metrics of a record, and the same by environment where there are several.
+
+    `success`, `collision`, `timeout` are rates, each with its 95 % Wilson interval under `intervals`;
+    `navigation_time` is the successes' mean time in s (None without any); `total_reward` the mean discounted return.
+    `failures` are the episodes that did not succeed.
+    """
+    result = _summary(record)
+    names = np.unique(record.scenes.environment)
+    if len(names) > 1:
+        result["environments"] = {str(n): _summary(record.take(record.scenes.environment == n)) for n in names}
+    failed = np.flatnonzero(record.outcome != "success")
+    result["failures"] = [
+        {
+            "episode": int(record.scenes.episode[e]),
+            "environment": str(record.scenes.environment[e]),
+            "outcome": str(record.outcome[e]),
+        }
+        for e in failed
+    ]
+    return result
+
+
+def episode_rows(record: Record) -> list[dict[str, Any]]:
+    """A row of plain values for each episode, for a CSV file."""
+    return [
+        {
+            "episode": int(record.scenes.episode[e]),
+            "environment": str(record.scenes.environment[e]),
+            "outcome": str(record.outcome[e]),
+            "steps": int(record.steps[e]),
+            "time": float(record.time[e]),
+            "total_reward": float(record.discounted_return[e]),
+            "smallest_separation": float(record.transition.separation[e, : record.steps[e]].min()),
+        }
+        for e in range(len(record.steps))
+    ]
+
+
+def wilson(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
+    """The Wilson score interval of a rate, 95 % by default (Wilson, 1927)."""
+    if trials == 0:
+        return 0.0, 1.0
+    rate, spread = successes / trials, z * z / trials
+    centre = (rate + spread / 2) / (1 + spread)
+    half = z * math.sqrt(rate * (1 - rate) / trials + spread / (4 * trials)) / (1 + spread)
+    return max(centre - half, 0.0), min(centre + half, 1.0)
+
+
+def _summary(record: Record) -> dict[str, Any]:
+    outcome, count = record.outcome, len(record.steps)
+    hits = {name: int((outcome == name).sum()) for name in RATES}
+    succeeded = outcome == "success"
+    return {
+        "episodes": count,
+        **{name: hits[name] / count for name in RATES},
+        "navigation_time": float(record.time[succeeded].mean()) if succeeded.any() else None,
+        "total_reward": float(record.discounted_return.mean()),
+        "intervals": {name: list(wilson(hits[name], count)) for name in RATES},
+    }

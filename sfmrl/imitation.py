@@ -1,0 +1,120 @@
+"""Imitation: ORCA shows the way, and the network learns what its situations were worth.
+
+Demonstrations are kept as trajectories, so one collection serves every reward and state: the returns to learn are the
+demonstrations' own, computed under the reward in use.
+"""
+
+import io
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+
+from sfmrl.config import Config, Simulation
+from sfmrl.episodes import Record, play_episodes, returns_of, rewards_of
+from sfmrl.files import read_checked, write_atomically
+from sfmrl.learning import Fit
+from sfmrl.memory import Memory
+from sfmrl.network import ValueNetwork, save_weights
+from sfmrl.policies import WEIGHTS, orca_policy, step_discount
+from sfmrl.progress import Progress
+from sfmrl.rewards import Transition
+from sfmrl.runs import Interrupted, Run, StopSignal
+from sfmrl.scenarios import PHASES, Scenes, sample_scenes
+from sfmrl.states import OWN, column_names
+
+DEMONSTRATIONS = "demonstrations.npz"
+ELEMENTS = 10  # around the robot, in each of the paper's environments
+
+
+def imitate(run: Run, progress: Progress, stop: StopSignal, device: str = "cpu") -> ValueNetwork:
+    """Run or go on with an imitation run to its end; raises Interrupted once `stop` has been requested."""
+    config = run.config
+    path = run.folder / DEMONSTRATIONS
+    if not path.exists():
+        save_demonstrations(demonstrate(config, progress), path)
+    memory = make_memory(config)
+    fill_memory(memory, load_demonstrations(path, config.simulation), config)
+    fit = new_fit(config, device)
+    saved = run.load_checkpoint()
+    rows = saved["rows"] if saved else []
+    if saved:
+        fit.load_state_dict(saved["fit"])
+
+    def keep(row: dict) -> None:
+        rows.append(row)
+        run.append_rows("metrics.csv", [row])
+        run.save_checkpoint({"fit": fit.state_dict(), "rows": rows})
+        if stop.requested:
+            raise Interrupted
+
+    run.write_table("metrics.csv", rows)
+    fit_memory(fit, memory, progress, keep)
+    save_weights(fit.network, config, run.folder / WEIGHTS)
+    return fit.network
+
+
+def demonstrate(config: Config, progress: Progress) -> Record:
+    """Play the imitation episodes with ORCA driving the robot."""
+    settings = config.imitation
+    scenes = sample_scenes(settings.environment, settings.episodes, config.seed, phase="imitation")
+    with progress("demonstrations", settings.episodes) as told:
+        return play_episodes(scenes, orca_policy, config.reward, config.simulation, progress=told)
+
+
+def make_memory(config: Config) -> Memory:
+    """The memory that imitation fills and reinforcement keeps: as many elements as any of their environments has."""
+    return Memory(config.reinforcement.memory, ELEMENTS, len(column_names(config.forces)), len(OWN) + 2 * config.forces)
+
+
+def fill_memory(memory: Memory, record: Record, config: Config) -> None:
+    """Store the demonstrations' states with their returns under `config`'s reward; timed-out episodes are left out."""
+    record = record.take(record.outcome != "timeout")
+    rewards = rewards_of(record.transition, record.steps, config.reward)
+    returns = returns_of(rewards, step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation))
+    memory.push(record.states(config.forces), returns[record.played])
+
+
+def new_fit(config: Config, device: str) -> Fit:
+    """Imitation at its start: a network drawn from the config's seed, on `device`."""
+    network = ValueNetwork(config.forces, config.value_prior, seed=config.seed).to(device)
+    return Fit(network, config.imitation, np.random.default_rng([config.seed, len(PHASES)]))
+
+
+def fit_memory(fit: Fit, memory: Memory, progress: Progress, keep: Callable[[dict], None]) -> None:
+    """Run the epochs that are left; `keep` is given a row of metrics after each."""
+    batches = -(-len(memory) // fit.settings.batch_size)
+    with progress("imitation", (fit.settings.epochs - fit.epoch) * batches) as told:
+        while fit.epoch < fit.settings.epochs:
+            loss = fit.run_epoch(memory, told)
+            keep({"epoch": fit.epoch, "loss": loss})
+
+
+def save_demonstrations(record: Record, path: Path) -> str:
+    """Write a record's trajectories to a file, without the NaN behind each episode's end; returns its SHA-256."""
+    moments = np.arange(record.position.shape[1]) <= record.steps[:, None]
+    arrays = {f"scenes.{f.name}": getattr(record.scenes, f.name) for f in fields(Scenes)}
+    arrays |= {f"transition.{f.name}": getattr(record.transition, f.name)[record.played] for f in fields(Transition)}
+    arrays |= {"position": record.position[moments], "velocity": record.velocity[moments], "steps": record.steps}
+    return write_atomically(path, lambda file: np.savez(file, **arrays))
+
+
+def load_demonstrations(path: Path, simulation: Simulation) -> Record:
+    """The record that `save_demonstrations` wrote, without rewards; raises DamagedFile."""
+    with np.load(io.BytesIO(read_checked(path)), allow_pickle=False) as arrays:
+        steps = arrays["steps"]
+        scenes = Scenes(*(arrays[f"scenes.{f.name}"] for f in fields(Scenes)))
+        played = np.arange(steps.max()) < steps[:, None]
+        moments = np.arange(steps.max() + 1) <= steps[:, None]
+        transition = Transition(*(_spread(arrays[f"transition.{f.name}"], played) for f in fields(Transition)))
+        position, velocity = _spread(arrays["position"], moments), _spread(arrays["velocity"], moments)
+    nothing = np.full(played.shape, np.nan)
+    return Record(scenes, simulation, steps, position, velocity, transition, nothing, nothing[:, 0])
+
+
+def _spread(flat: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Rows (S, ...) laid out over the true entries of `where` (E, T): (E, T, ...), NaN (0 for integers) elsewhere."""
+    full = np.full(where.shape + flat.shape[1:], np.nan if flat.dtype.kind == "f" else 0, dtype=flat.dtype)
+    full[where] = flat
+    return full

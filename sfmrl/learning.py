@@ -1,0 +1,107 @@
+"""Gradient descent on stored values: what imitation and reinforcement learning share.
+
+Mean squared error between the network's value and the stored one, as in CRI. The learning rate is a pure function of
+progress, so a resumed training needs no scheduler's state.
+"""
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import mse_loss
+
+from sfmrl.config import Imitation
+from sfmrl.memory import Memory
+from sfmrl.network import ValueNetwork
+
+MOMENTUM = 0.9  # of SGD, as in the paper
+
+
+def _constant(progress: float) -> float:
+    return 1.0
+
+
+def _linear(progress: float) -> float:
+    """Down to nothing in a straight line."""
+    return 1.0 - progress
+
+
+def _one_cycle(progress: float) -> float:
+    """Up from 1/25 over the first 0.3, then down to nothing, both along a cosine (Smith and Topin, 2017)."""
+    if progress < 0.3:
+        return 1 / 25 + (1 - 1 / 25) * (1 - math.cos(math.pi * progress / 0.3)) / 2
+    return (1 + math.cos(math.pi * (progress - 0.3) / 0.7)) / 2
+
+
+SCHEDULES: dict[str, Callable[[float], float]] = {"constant": _constant, "linear": _linear, "one-cycle": _one_cycle}
+OPTIMIZERS: dict[str, Callable[..., torch.optim.Optimizer]] = {
+    "sgd": lambda parameters: torch.optim.SGD(parameters, lr=0.0, momentum=MOMENTUM),
+    "adam": lambda parameters: torch.optim.Adam(parameters, lr=0.0),
+}
+
+
+def learn(
+    network: ValueNetwork, optimizer: torch.optim.Optimizer, rate: float, states: Tensor, values: Tensor
+) -> Tensor:
+    """One step of descent at learning rate `rate` on states (B, K, F) and values (B,); returns the loss, a scalar."""
+    device = network.mlp1[0].weight.device
+    for group in optimizer.param_groups:
+        group["lr"] = rate
+    loss = mse_loss(network(states.to(device)), values.to(device))
+    optimizer.zero_grad()
+    loss.backward()
+    optimizer.step()
+    return loss.detach()
+
+
+class Fit:
+    """A network on its way through the epochs of imitation: what has to be kept to go on after an interruption."""
+
+    def __init__(self, network: ValueNetwork, settings: Imitation, rng: np.random.Generator) -> None:
+        self.network, self.settings, self.rng = network, settings, rng
+        self.optimizer = OPTIMIZERS[settings.optimizer](network.parameters())
+        self.epoch = 0
+
+    def run_epoch(self, memory: Memory, progress: Callable[[int], None]) -> float:
+        """One pass over all that is stored, in random order; returns the mean loss."""
+        size = self.settings.batch_size
+        order = self.rng.permutation(len(memory))
+        batches = [order[first : first + size] for first in range(0, len(order), size)]
+        schedule, steps = SCHEDULES[self.settings.schedule], self.settings.epochs * len(batches)
+        losses = []
+        for number, rows in enumerate(batches, start=self.epoch * len(batches)):
+            rate = self.settings.learning_rate * schedule(number / steps)
+            losses.append(learn(self.network, self.optimizer, rate, *memory.take(rows)))
+            progress(1)
+        self.epoch += 1
+        return float(torch.stack(losses).mean())
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that decides how it goes on."""
+        return {
+            "network": self.network.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "rng": generator_state(self.rng),
+            "epoch": self.epoch,
+        }
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Take back what `state_dict` gave."""
+        self.network.load_state_dict(saved["network"])
+        self.optimizer.load_state_dict(saved["optimizer"])
+        set_generator_state(self.rng, saved["rng"])
+        self.epoch = saved["epoch"]
+
+
+def generator_state(rng: np.random.Generator) -> str:
+    """A generator's state as text."""
+    return json.dumps(rng.bit_generator.state)
+
+
+def set_generator_state(rng: np.random.Generator, state: str) -> None:
+    """Put a generator into a state that `generator_state` gave."""
+    rng.bit_generator.state = json.loads(state)

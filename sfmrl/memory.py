@@ -1,0 +1,47 @@
+"""A bounded store of states and the values to learn for them, the oldest replaced first."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+class Memory:
+    """At most `capacity` states (K, F) with a value each; those of fewer elements are filled up with absent ones."""
+
+    def __init__(self, capacity: int, elements: int, columns: int, own: int) -> None:
+        self.states = np.empty((capacity, elements, columns), dtype=np.float32)
+        self.values = np.empty(capacity, dtype=np.float32)
+        self.own = own  # the columns from here on are the element's, and NaN where it is absent
+        self.size = self.next = 0
+
+    def __len__(self) -> int:
+        return self.size
+
+    def push(self, states: np.ndarray, values: np.ndarray) -> None:
+        """Add states (S, k, F) with k <= K, and their values (S,), in order."""
+        capacity, elements = self.states.shape[:2]
+        states, values = states[-capacity:], values[-capacity:]
+        where = (self.next + np.arange(len(states))) % capacity
+        present = states.shape[1]
+        self.states[where, :present] = states
+        if present < elements:
+            self.states[where, present:, : self.own] = states[:, :1, : self.own]
+            self.states[where, present:, self.own :] = np.nan
+        self.values[where] = values
+        self.next = int((self.next + len(states)) % capacity)
+        self.size = min(self.size + len(states), capacity)
+
+    def take(self, rows: np.ndarray) -> tuple[Tensor, Tensor]:
+        """The states (B, K, F) and values (B,) at some indices, as tensors."""
+        return torch.from_numpy(self.states[rows]), torch.from_numpy(self.values[rows])
+
+    def state_dict(self) -> dict:
+        """All that is stored, for a checkpoint."""
+        filled = slice(0, self.size)
+        states, values = torch.from_numpy(self.states[filled]), torch.from_numpy(self.values[filled])
+        return {"states": states, "values": values, "next": self.next}
+
+    def load_state_dict(self, saved: dict) -> None:
+        """Take back what `state_dict` gave."""
+        self.size, self.next = len(saved["values"]), saved["next"]
+        self.states[: self.size], self.values[: self.size] = saved["states"].numpy(), saved["values"].numpy()

@@ -1,0 +1,90 @@
+"""Command-line options made from the config's knobs: each default and help text is written once, in `config.py`."""
+
+import inspect
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from functools import wraps
+from typing import Annotated, Any
+
+import typer
+
+from sfmrl.config import PRESETS, Config, make_config
+
+# The sections of the config by the heading under which `--help` shows their knobs.
+TITLES = {
+    "": "Task",
+    "simulation": "Simulation",
+    "reward": "Reward",
+    "imitation": "Schedule",
+    "reinforcement": "Schedule",
+}
+
+
+def settings_options(*sections: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command an option for every knob of some sections of the config ("" is its top level).
+
+    The command gets those that were set as its argument `settings`, nested as `config.override` takes them.
+    """
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        places = {}  # option -> (section, knob)
+        parameters = []
+        for section in sections:
+            for item in fields(_section(Config(), section)):
+                if not is_dataclass(getattr(_section(Config(), section), item.name)):
+                    places[item.name] = (section, item.name)
+                    parameters.append(_parameter(section, item.name))
+        own = [p for p in inspect.signature(command).parameters.values() if p.name != "settings"]
+
+        @wraps(command)
+        def wrapper(**given: Any) -> None:
+            settings: dict[str, Any] = {}
+            for name, (section, knob) in places.items():
+                value = given.pop(name)
+                if value is not None:
+                    (settings.setdefault(section, {}) if section else settings)[knob] = value
+            command(**given, settings=settings)
+
+        wrapper.__signature__ = inspect.Signature([*own, *parameters])
+        wrapper.__annotations__ = {p.name: p.annotation for p in (*own, *parameters)}
+        return wrapper
+
+    return decorate
+
+
+def _section(config: Config, name: str) -> Any:
+    return getattr(config, name) if name else config
+
+
+def _parameter(section: str, name: str) -> inspect.Parameter:
+    """The option of one knob: None where it is not given, its presets' values in the help text."""
+    knob = next(item for item in fields(_section(Config(), section)) if item.name == name)
+    values = {preset: getattr(_section(make_config(preset), section), name) for preset in PRESETS}
+    shown = {preset: _text(value) for preset, value in values.items()}
+    if len(set(shown.values())) == 1:
+        default = f"default {shown['quick']}"
+    else:
+        default = ", ".join(f"{preset} {value}" for preset, value in shown.items())
+    if name == "preset":
+        default = "default quick"
+    choices = f" ({' | '.join(knob.metadata['choices'])})" if knob.metadata["choices"] else ""
+    flag = "--" + name.replace("_", "-")
+    flags = (f"{flag}/--no-{flag[2:]}",) if isinstance(knob.default, bool) else (flag,)
+    option = typer.Option(
+        *flags,
+        help=f"{knob.metadata['help']}{choices} ({default})",
+        show_default=False,
+        rich_help_panel=TITLES[section],
+    )
+    kind = type(knob.default) | None
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Annotated[kind, option])
+
+
+def _text(value: Any) -> str:
+    return (
+        {True: "on", False: "off"}.get(value, str(value))
+        if isinstance(value, bool)
+        else f"{value:g}"
+        if isinstance(value, float)
+        else str(value)
+    )

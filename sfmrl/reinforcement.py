@@ -1,0 +1,306 @@
+"""Reinforcement: deep V-learning past what ORCA showed, as CRI and the paper have it.
+
+Play with epsilon-greedy lookahead, store each state with the value its episode gave it, learn from random batches.
+Two kinds of value: `td`, the reward plus the target network's value of the next state; and `returns`, the discounted
+rewards that really followed, up to the next random action, from where the target network speaks. Every random number
+comes from the seed and the number of the episode or batch, so what is played side by side changes nothing in either.
+"""
+
+import copy
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from sfmrl.config import Config, ConfigError, Reinforcement
+from sfmrl.crowd import World
+from sfmrl.episodes import Record, longest_episode, play_episodes, returns_of
+from sfmrl.evaluation import episode_rows, evaluate
+from sfmrl.files import DamagedFile, read_sums
+from sfmrl.imitation import DEMONSTRATIONS, fill_memory, fit_memory, load_demonstrations, make_memory, new_fit
+from sfmrl.learning import OPTIMIZERS, SCHEDULES, generator_state, learn, set_generator_state
+from sfmrl.memory import Memory
+from sfmrl.network import ValueNetwork, load_weights, save_weights
+from sfmrl.policies import ACTIONS, WEIGHTS, Policy, SarlPolicy, step_discount
+from sfmrl.progress import Progress
+from sfmrl.runs import Interrupted, Run, StopSignal, create_run, open_run, run_folders
+from sfmrl.scenarios import PHASES, sample_scenes
+from sfmrl.states import column_names
+
+CHECKPOINT_EVERY = 20.0  # seconds between checkpoints; when they are taken changes no number
+EVALUATION_SEED = 0  # validation and test are the same episodes for every training seed, so that runs compare in pairs
+VALIDATED = ("success", "collision", "timeout", "navigation_time", "total_reward")
+BATCHES_STREAM, EXPLORATION_STREAM = len(PHASES) + 1, len(PHASES) + 2
+
+
+class Learner:
+    """A training on its way: all that has to be kept to go on to the same bits after an interruption."""
+
+    def __init__(self, network: ValueNetwork, memory: Memory, config: Config) -> None:
+        self.config, self.memory, self.network = config, memory, network
+        self.target = copy.deepcopy(network)
+        self.average = copy.deepcopy(network)
+        self.optimizer = OPTIMIZERS[config.reinforcement.optimizer](network.parameters())
+        self.rng = np.random.default_rng([config.seed, BATCHES_STREAM])
+        self.episode = self.batch = 0
+        self.rows: list[dict[str, Any]] = []
+        self.validations: list[dict[str, Any]] = []
+
+    @property
+    def tested(self) -> ValueNetwork:
+        """The network that validation and test use."""
+        return self.average if self.config.reinforcement.average else self.network
+
+    def learn(self, batches: int) -> float:
+        """So many batches of gradient descent on what is stored; returns their mean loss (NaN without any)."""
+        settings = self.config.reinforcement
+        if not len(self.memory):
+            return float("nan")
+        schedule = SCHEDULES[settings.schedule]
+        losses = []
+        for _ in range(batches):
+            rows = self.rng.choice(len(self.memory), min(settings.batch_size, len(self.memory)), replace=False)
+            progress = self.batch / max(settings.episodes * settings.batches, 1)
+            rate = settings.learning_rate * schedule(progress)
+            losses.append(learn(self.network, self.optimizer, rate, *self.memory.take(rows)))
+            if settings.average:
+                follow(self.average, self.network, 1 / settings.average)
+            self.batch += 1
+        return float(torch.stack(losses).mean()) if losses else float("nan")
+
+    def advance(self, episodes: int) -> None:
+        """So many more episodes have been learnt from: renew the target network where its interval has passed."""
+        interval = self.config.reinforcement.target_interval
+        renew = self.episode // interval < (self.episode + episodes) // interval
+        self.episode += episodes
+        if renew:
+            self.target.load_state_dict(self.network.state_dict())
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that decides how the training goes on."""
+        parts = {
+            name: getattr(self, name).state_dict() for name in ("network", "target", "average", "optimizer", "memory")
+        }
+        counters = {name: getattr(self, name) for name in ("episode", "batch", "rows", "validations")}
+        return parts | counters | {"rng": generator_state(self.rng)}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Take back what `state_dict` gave."""
+        for name in ("network", "target", "average", "optimizer", "memory"):
+            getattr(self, name).load_state_dict(saved[name])
+        for name in ("episode", "batch", "rows", "validations"):
+            setattr(self, name, saved[name])
+        set_generator_state(self.rng, saved["rng"])
+
+
+def reinforce(
+    run: Run,
+    progress: Progress,
+    stop: StopSignal,
+    say: Callable[[str], None],
+    *,
+    threads: int = 1,
+    device: str = "cpu",
+) -> dict[str, Any]:
+    """Run or go on with a training to its end; returns the final test's metrics.
+
+    Raises Interrupted, with a checkpoint just written, once `stop` has been requested.
+    """
+    config, settings = run.config, run.config.reinforcement
+    learner = begin(run, progress, stop, say, device)
+    run.write_table("metrics.csv", learner.rows)
+    run.write_table("validation.csv", learner.validations)
+    policy, tested = (SarlPolicy(network, config, threads) for network in (learner.network, learner.tested))
+    saved_at = time.monotonic()
+
+    def test(phase: str, episodes: int) -> dict[str, Any]:
+        return evaluate(
+            tested,
+            environment=settings.test_environment,
+            episodes=episodes,
+            seed=EVALUATION_SEED,
+            simulation=config.simulation,
+            phase=phase,
+            progress=progress,
+        )[0]
+
+    while True:
+        if due(learner, settings):
+            rates = test("validation", settings.validation_episodes)
+            row = {"episode": learner.episode} | {name: rates[name] for name in VALIDATED}
+            learner.validations.append(row)
+            run.append_rows("validation.csv", [row])
+            say(f"validation at {learner.episode} of {settings.episodes} episodes: {summary(rates)}")
+        if learner.episode >= settings.episodes:
+            break
+        boundary = settings.validation_interval * (learner.episode // settings.validation_interval + 1)
+        stretch = min(boundary, settings.episodes) - learner.episode
+        with progress("reinforcement", stretch) as told:
+            while stretch > 0:
+                episodes = range(learner.episode, learner.episode + min(settings.parallel, stretch))
+                record, random_steps = explore(policy, config, episodes)
+                remember(learner, record, random_steps)
+                loss = learner.learn(len(episodes) * settings.batches)
+                learner.advance(len(episodes))
+                rows = [row | {"loss": loss} for row in episode_rows(record)]
+                learner.rows += rows
+                run.append_rows("metrics.csv", rows)
+                stretch -= len(episodes)
+                told(len(episodes))
+                if stop.requested or time.monotonic() - saved_at > CHECKPOINT_EVERY:
+                    run.save_checkpoint(learner.state_dict())
+                    saved_at = time.monotonic()
+                if stop.requested:
+                    raise Interrupted
+    run.save_checkpoint(learner.state_dict())
+    result = test("test", settings.test_episodes)
+    run.write_json("result.json", result)
+    save_weights(learner.tested, config, run.folder / WEIGHTS)
+    return result
+
+
+def start_run(config: Config, source: Path | None, from_scratch: bool, folder: Path | None, overwrite: bool) -> Run:
+    """Make the folder of a new training that goes on from imitation run `source`, or from the newest that fits.
+
+    A run fits that was made under the same preset, seed and simulation; its reward and state do not matter. Raises
+    ConfigError, with what to type, where there is none.
+    """
+    if from_scratch:
+        return create_run("rl", config, folder, overwrite=overwrite, imitation=None)
+    if source is None:
+        fitting = (path for path in run_folders("il") if fits(path, config))
+        source = next(fitting, None)
+        if source is None:
+            flags = f"--preset {config.preset} --seed {config.seed}"
+            raise ConfigError(
+                f"no finished imitation run fits ({flags}, same simulation): type sfmrl il {flags}, "
+                "name a run with --from, or do without with --from-scratch"
+            )
+    imitation = open_run(source, "il")
+    if not imitation.finished:
+        raise ConfigError(f"{source} has not ended; go on with it first: sfmrl il --resume {source}")
+    if imitation.config.simulation != config.simulation:
+        raise ConfigError(f"the demonstrations of {source} come from another simulation; name another --from")
+    config = replace(config, imitation=imitation.config.imitation)
+    facts = {"imitation": str(source), "demonstrations": read_sums(source)[DEMONSTRATIONS]}
+    return create_run("rl", config, folder, overwrite=overwrite, **facts)
+
+
+def fits(folder: Path, config: Config) -> bool:
+    """Whether a folder holds a finished imitation run for trainings with this config."""
+    try:
+        run = open_run(folder, "il")
+    except (ConfigError, DamagedFile):
+        return False
+    same = all(getattr(run.config, name) == getattr(config, name) for name in ("preset", "seed", "simulation"))
+    return run.finished and same
+
+
+def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], None], device: str) -> Learner:
+    """The training where it was left, or at its start: after imitation, refitted where reward or state differ."""
+    config, saved = run.config, run.load_checkpoint()
+    memory = make_memory(config)
+    if saved and "fit" not in saved:
+        learner = Learner(ValueNetwork(config.forces, config.value_prior).to(device), memory, config)
+        learner.load_state_dict(saved)
+        return learner
+    fit = new_fit(config, device)
+    if run.facts["imitation"] is None:
+        return Learner(fit.network, memory, config)
+    source = Path(run.facts["imitation"])
+    demonstrations = source / DEMONSTRATIONS
+    if read_sums(source).get(DEMONSTRATIONS) != run.facts["demonstrations"]:
+        raise DamagedFile(f"{demonstrations} is not the one this run began with; start a new run from it")
+    fill_memory(memory, load_demonstrations(demonstrations, config.simulation), config)
+    network, learnt_under = load_weights(source / WEIGHTS)
+    if same_task(learnt_under, config):
+        return Learner(network.to(device), memory, config)
+
+    if saved:
+        fit.load_state_dict(saved["fit"])
+    reward, columns = config.reward.reward, len(column_names(config.forces))
+    say(f"{source} was fitted to another reward or state: refitting to reward {reward}, {columns} columns")
+
+    def keep(row: dict[str, Any]) -> None:
+        run.save_checkpoint({"fit": fit.state_dict()})
+        if stop.requested:
+            raise Interrupted
+
+    fit_memory(fit, memory, progress, keep)
+    return Learner(fit.network, memory, config)
+
+
+def same_task(one: Config, other: Config) -> bool:
+    """Whether a network fitted under one config is what the other would have fitted to the same demonstrations."""
+    return all(
+        getattr(one, name) == getattr(other, name)
+        for name in ("seed", "forces", "discount", "value_prior", "reward", "imitation")
+    )
+
+
+def due(learner: Learner, settings: Reinforcement) -> bool:
+    """Whether it is time for a validation that has not been made yet."""
+    made = bool(learner.validations) and learner.validations[-1]["episode"] == learner.episode
+    regular = learner.episode % settings.validation_interval == 0 or learner.episode >= settings.episodes
+    return regular and not made
+
+
+def explore(policy: Policy, config: Config, episodes: Sequence[int]) -> tuple[Record, np.ndarray]:
+    """Play training episodes with epsilon-greedy actions; their record, and which steps (E, T) were random."""
+    settings = config.reinforcement
+    scenes = sample_scenes(settings.environment, episodes, config.seed, phase="train")
+    most = longest_episode(config.simulation)
+    rngs = [np.random.default_rng([config.seed, EXPLORATION_STREAM, episode]) for episode in episodes]
+    random_steps = np.array([rng.random(most) for rng in rngs]) < epsilon(settings, np.array(episodes))[:, None]
+    picks = ACTIONS[np.array([rng.integers(len(ACTIONS), size=most) for rng in rngs])]  # (E, T, 2)
+
+    def epsilon_greedy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
+        at = (world.episode, world.steps)
+        action = picks[at] * world.v_pref[:, :1]
+        greedy = np.flatnonzero(~random_steps[at])
+        if len(greedy):
+            action[greedy] = policy(world.take(greedy), crowd_velocity[greedy])
+        return action
+
+    record = play_episodes(scenes, epsilon_greedy, config.reward, config.simulation, discount=config.discount)
+    return record, random_steps[:, : record.reward.shape[1]]
+
+
+def epsilon(settings: Reinforcement, episode: np.ndarray) -> np.ndarray:
+    """The share of random actions in training episodes, a straight line and then level: (E,)."""
+    progress = np.minimum(episode / settings.epsilon_episodes, 1.0)
+    return settings.epsilon_start + (settings.epsilon_end - settings.epsilon_start) * progress
+
+
+def remember(learner: Learner, record: Record, random_steps: np.ndarray) -> None:
+    """Store the states of a record with the values to learn for them."""
+    config, settings = learner.config, learner.config.reinforcement
+    kept = np.flatnonzero((record.outcome != "timeout") | settings.keep_timeouts)
+    if not len(kept):
+        return
+    record, random_steps = record.take(kept), random_steps[kept]
+    states, played = record.states(config.forces), record.played
+    # A state's value is asked of the target network where the step before it bootstraps from it.
+    asked = random_steps & played if settings.targets == "returns" else played.copy()
+    asked[:, 0] = False
+    guess = np.full(played.shape, np.nan)
+    if asked.any():
+        guess[asked] = learner.target.evaluate(states[asked[played]])[0]
+    step = step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation)
+    learner.memory.push(states, returns_of(record.reward, step, guess)[played])
+
+
+def follow(average: ValueNetwork, network: ValueNetwork, share: float) -> None:
+    """Move an average's parameters by `share` of the way to a network's."""
+    with torch.no_grad():
+        for slow, fast in zip(average.parameters(), network.parameters(), strict=True):
+            slow.lerp_(fast, share)
+
+
+def summary(rates: dict[str, Any]) -> str:
+    """Metrics in a line."""
+    return ", ".join(f"{name} {rates[name]:.3f}" for name in ("success", "collision", "timeout", "total_reward"))

@@ -1,0 +1,186 @@
+"""The run folder: config, command and versions, metrics as CSV, checkpoints; whole at every moment.
+
+    config.json        every setting                    metrics.csv      a line an epoch, or an episode
+    run.json           kind, command, versions          validation.csv   rates during the training
+    checkpoint-N.pt    all that resuming needs          weights.pt       the trained network, when done
+    demonstrations.npz what imitation learnt from       result.json      the final test
+    SHA256SUMS         digests of what is read back
+
+A killed run goes on from its newest checkpoint to the same bits as one that was never stopped.
+"""
+
+import io
+import json
+import platform
+import shlex
+import shutil
+import signal
+import sys
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from sfmrl import __version__
+from sfmrl.config import Config, ConfigError, variant_name
+from sfmrl.files import DamagedFile, csv_text, read_checked, write_atomically
+from sfmrl.policies import WEIGHTS
+
+RUNS = Path("runs")
+KEEP = 2  # checkpoints kept: the newest, and one to fall back on
+
+
+@dataclass(frozen=True)
+class Run:
+    """An open run folder: its path, its kind ("il" or "rl"), its config and what run.json says."""
+
+    folder: Path
+    kind: str
+    config: Config
+    facts: dict[str, Any]
+
+    @property
+    def finished(self) -> bool:
+        """Whether the training has come to its end."""
+        return (self.folder / WEIGHTS).exists()
+
+    def save_checkpoint(self, state: dict[str, Any]) -> None:
+        """Keep all that resuming needs, under the next number; older checkpoints but one are removed."""
+        number = 1 + max((int(path.stem.rpartition("-")[2]) for path in self.checkpoints()), default=0)
+        write_atomically(self.folder / f"checkpoint-{number:06d}.pt", lambda file: torch.save(state, file))
+        for old in self.checkpoints()[:-KEEP]:
+            old.unlink(missing_ok=True)
+
+    def checkpoints(self) -> list[Path]:
+        """The checkpoint files, oldest first."""
+        return sorted(self.folder.glob("checkpoint-*.pt"))
+
+    def load_checkpoint(self) -> dict[str, Any] | None:
+        """The newest checkpoint's state, None where there is none yet; raises DamagedFile with the way out."""
+        saved = self.checkpoints()
+        if not saved:
+            return None
+        try:
+            data = read_checked(saved[-1])
+        except DamagedFile as error:
+            before = f"to go on from {saved[-2].name}" if len(saved) > 1 else "to start this run anew"
+            raise DamagedFile(f"{error}; delete it {before}") from None
+        return torch.load(io.BytesIO(data), weights_only=True)
+
+    def write_table(self, name: str, rows: list[dict[str, Any]]) -> None:
+        """A CSV file with a line a row, whole or as it was."""
+        write_atomically(self.folder / name, lambda file: file.write(csv_text(rows).encode()), checked=False)
+
+    def append_rows(self, name: str, rows: list[dict[str, Any]]) -> None:
+        """Add lines to a CSV file."""
+        path = self.folder / name
+        with open(path, "a", newline="") as file:
+            file.write(csv_text(rows, header=path.stat().st_size == 0))
+
+    def write_json(self, name: str, content: dict[str, Any]) -> None:
+        """A JSON file, whole or as it was."""
+        text = json.dumps(content, indent=2) + "\n"
+        write_atomically(self.folder / name, lambda file: file.write(text.encode()), checked=False)
+
+
+def create_run(kind: str, config: Config, folder: Path | None, *, overwrite: bool = False, **facts: Any) -> Run:
+    """Make a run folder: the one named, or a new one under runs/ whose name says kind, variant and seed.
+
+    Raises ConfigError where the folder is there already and `overwrite` is not set; then only a run (or an empty
+    folder) is ever replaced. `facts` go into run.json.
+    """
+    if folder is None:
+        name = f"{kind}-{variant_name(config)}-seed{config.seed}"
+        tries = (RUNS / (name if n == 1 else f"{name}-{n}") for n in range(1, 10_000))
+        folder = next(path for path in tries if not path.exists())
+    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        if not overwrite:
+            raise ConfigError(f"{folder} is there already; name another --run, or replace it with --overwrite")
+        if not (folder / "run.json").is_file():
+            raise ConfigError(f"{folder} is not a run folder, so --overwrite leaves it alone; name another --run")
+        shutil.rmtree(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    facts = {
+        "kind": kind,
+        "variant": variant_name(config),
+        "created": datetime.now().astimezone().isoformat(),
+        "command": shlex.join(["sfmrl", *sys.argv[1:]]),
+        "versions": versions(),
+        **facts,
+    }
+    run = Run(folder, kind, config, facts)
+    write_atomically(folder / "config.json", lambda file: file.write(config.to_json().encode()))
+    write_atomically(folder / "run.json", lambda file: file.write(json.dumps(facts, indent=2).encode()))
+    return run
+
+
+def open_run(folder: Path, kind: str | None = None) -> Run:
+    """Open a run folder; raises ConfigError where it is none (or of another kind), DamagedFile where it is damaged."""
+    if not (folder / "run.json").is_file() or not (folder / "config.json").is_file():
+        what = "is not a run folder: it has no run.json and config.json" if folder.exists() else "does not exist"
+        raise ConfigError(f"{folder} {what}; known runs: {', '.join(map(str, run_folders())) or 'none yet'}")
+    facts = json.loads(read_checked(folder / "run.json"))
+    config = Config.from_json(read_checked(folder / "config.json").decode())
+    if kind and facts["kind"] != kind:
+        raise ConfigError(f"{folder} is a run of sfmrl {facts['kind']}, not of sfmrl {kind}")
+    return Run(folder, facts["kind"], config, facts)
+
+
+def run_folders(kind: str | None = None) -> list[Path]:
+    """Folders under runs/ that hold a run (of a kind), the newest first."""
+    found = []
+    for path in RUNS.glob("*/run.json"):
+        try:
+            facts = json.loads(path.read_text())
+            if kind in (None, facts["kind"]):
+                found.append((facts["created"], path.parent))
+        except (ValueError, KeyError):
+            continue  # not a run that can be opened; naming it says why
+    return [folder for _, folder in sorted(found, reverse=True)]
+
+
+def newest_run() -> Path:
+    """The newest finished run under runs/; raises ConfigError where there is none."""
+    for folder in run_folders():
+        if (folder / WEIGHTS).exists():
+            return folder
+    raise ConfigError("there is no finished run under runs/ yet: type sfmrl il, or name a policy (linear, orca, sfm)")
+
+
+def versions() -> dict[str, str]:
+    """What the numbers of a run depend on beyond its config."""
+    return {
+        "sfmrl": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "torch": torch.__version__,
+        "system": platform.platform(),
+        "processor": torch.backends.cpu.get_cpu_capability(),
+    }
+
+
+class Interrupted(Exception):
+    """A training was asked to stop and has kept all it needs to go on."""
+
+
+class StopSignal:
+    """Turns the first Ctrl-C or SIGTERM into a request that a training looks for; the second acts at once."""
+
+    def __init__(self) -> None:
+        self.requested = False
+
+    def __enter__(self) -> "StopSignal":
+        self._before = {number: signal.signal(number, self._note) for number in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, frame: object) -> None:
+        if self.requested:
+            raise KeyboardInterrupt
+        self.requested = True
