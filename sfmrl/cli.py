@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
 from sfmrl.config import MIXES, VARIANTS, Config, ConfigError, make_config, override
+from sfmrl.console import err, out, print_metrics, replay_command, say
 from sfmrl.files import DamagedFile, csv_text
 from sfmrl.options import settings_options
 
@@ -24,8 +23,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Teach a robot to cross a crowd: imitate ORCA, then reinforce, with and without social forces.",
 )
-out = Console(highlight=False)
-err = Console(stderr=True, highlight=False)
 
 
 def option(help: str, *flags: str, **extra: Any) -> Any:
@@ -201,11 +198,6 @@ def ascii_render(
         replay.play_live(pictures, out, speed=speed)
 
 
-def say(text: str) -> None:
-    """A line on standard error."""
-    err.print(text, markup=False, soft_wrap=True)
-
-
 def new_config(variant: str | None, settings: dict[str, Any]) -> Config:
     """The config of a new training from the options that were given."""
     return make_config(settings.get("preset", "quick"), variant or "sarl", **settings)
@@ -274,32 +266,6 @@ def newest() -> str:
     folder = str(newest_run())
     say(f"policy: {folder}")
     return folder
-
-
-def replay_command(policy: str | None, environment: str, seed: int, episode: int, settings: dict[str, Any]) -> str:
-    """What to type to see a test episode."""
-    words = ["sfmrl ascii-render", policy or "", f"--environment {environment} --seed {seed} --episode {episode}"]
-    for section in settings.values():
-        words += [
-            f"--{name.replace('_', '-')} {value}" for name, value in section.items() if not isinstance(value, bool)
-        ]
-        words += [
-            f"--{'' if on else 'no-'}{name.replace('_', '-')}" for name, on in section.items() if isinstance(on, bool)
-        ]
-    return " ".join(word for word in words if word)
-
-
-def print_metrics(result: dict[str, Any], title: str) -> None:
-    """Metrics as a table: a row in all, and one for each environment."""
-    table = Table(title=title, title_justify="left")
-    for heading in ("", "success", "collision", "time-out", "nav. time", "total reward", "episodes"):
-        table.add_column(heading, justify="right" if heading else "left")
-    rows = {"all": result, **{f"env. {name}": row for name, row in result.get("environments", {}).items()}}
-    for name, row in rows.items():
-        rates = [f"{row[rate]:.3f} [dim]{low:.2f}-{high:.2f}[/dim]" for rate, (low, high) in row["intervals"].items()]
-        time = "-" if row["navigation_time"] is None else f"{row['navigation_time']:.2f} s"
-        table.add_row(name, *rates, time, f"{row['total_reward']:.4f}", str(row["episodes"]))
-    out.print(table)
 
 
 def main() -> None:

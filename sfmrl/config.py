@@ -132,7 +132,7 @@ class Reinforcement(_Checked):
     epsilon_episodes: int = knob(4000, "episodes from the first share to the last (CRI)", least=1)
     targets: str = knob(
         "td",
-        "values to learn: td, reward plus the target network's next value, or returns, what followed to the next random action",
+        "values to learn: td, reward plus the target's next value, or returns, what followed to the next random action",
         choices=("td", "returns"),
     )
     target_interval: int = knob(50, "episodes between updates of the target network (CRI)", least=1)
@@ -155,7 +155,7 @@ class Config:
     forces: bool = knob(False, "social forces in the state: 17 columns instead of 13")
     discount: float = knob(0.9, "discount per second at 1 m/s (CRI's gamma)", least=0, most=1)
     value_prior: bool = knob(False, "write the value as 0.9^(goal distance - 0.3) (0.8 + network)")
-    stop_at_collision: bool = knob(False, "when looking ahead, a collision has no value beyond its reward")
+    collision_ends: bool = knob(False, "when looking ahead, a collision has no value beyond its reward")
     simulation: Simulation = field(default_factory=Simulation)
     reward: Reward = field(default_factory=Reward)
     imitation: Imitation = field(default_factory=Imitation)
@@ -199,7 +199,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "quick": {
         "preset": "quick",
         "value_prior": True,
-        "stop_at_collision": True,
+        "collision_ends": True,
         "imitation": {
             "episodes": 1000,
             "epochs": 6,

@@ -21,7 +21,7 @@ from sfmrl.policies import WEIGHTS, orca_policy, step_discount
 from sfmrl.progress import Progress
 from sfmrl.rewards import Transition
 from sfmrl.runs import Interrupted, Run, StopSignal
-from sfmrl.scenarios import PHASES, Scenes, sample_scenes
+from sfmrl.scenarios import Scenes, generator, sample_scenes
 from sfmrl.states import OWN, column_names
 
 DEMONSTRATIONS = "demonstrations.npz"
@@ -79,7 +79,7 @@ def fill_memory(memory: Memory, record: Record, config: Config) -> None:
 def new_fit(config: Config, device: str) -> Fit:
     """Imitation at its start: a network drawn from the config's seed, on `device`."""
     network = ValueNetwork(config.forces, config.value_prior, seed=config.seed).to(device)
-    return Fit(network, config.imitation, np.random.default_rng([config.seed, len(PHASES)]))
+    return Fit(network, config.imitation, generator(config.seed, "fit"))
 
 
 def fit_memory(fit: Fit, memory: Memory, progress: Progress, keep: Callable[[dict], None]) -> None:

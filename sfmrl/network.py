@@ -81,10 +81,19 @@ class ValueNetwork(nn.Module):
 
     @torch.inference_mode()
     def evaluate(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`value_and_attention` from array to arrays, without gradients."""
+        """`value_and_attention` from array to arrays, without gradients.
+
+        The batch is filled up to a multiple of four states, at least eight: a state's numbers then do not depend on
+        how many others share the batch (matrix products treat a remainder of rows, or very few, in another way).
+        """
         device = self.mlp1[0].weight.device
+        count = len(states)
+        if count < 8 or count % 4:
+            filled = np.zeros((max(count + -count % 4, 8), *states.shape[1:]), dtype=np.float32)
+            filled[:count] = states
+            states = filled
         value, share = self.value_and_attention(torch.from_numpy(states).to(device))
-        return value.cpu().numpy(), share.cpu().numpy()
+        return value[:count].cpu().numpy(), share[:count].cpu().numpy()
 
 
 def _mlp(width: int, sizes: tuple[int, ...], generator: torch.Generator, last_relu: bool = False) -> nn.Sequential:

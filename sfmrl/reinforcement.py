@@ -6,7 +6,6 @@ rewards that really followed, up to the next random action, from where the targe
 comes from the seed and the number of the episode or batch, so what is played side by side changes nothing in either.
 """
 
-import copy
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -14,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from sfmrl.config import Config, ConfigError, Reinforcement
 from sfmrl.crowd import World
@@ -22,79 +20,17 @@ from sfmrl.episodes import Record, longest_episode, play_episodes, returns_of
 from sfmrl.evaluation import episode_rows, evaluate
 from sfmrl.files import DamagedFile, read_sums
 from sfmrl.imitation import DEMONSTRATIONS, fill_memory, fit_memory, load_demonstrations, make_memory, new_fit
-from sfmrl.learning import OPTIMIZERS, SCHEDULES, generator_state, learn, set_generator_state
-from sfmrl.memory import Memory
+from sfmrl.learner import Learner
 from sfmrl.network import ValueNetwork, load_weights, save_weights
 from sfmrl.policies import ACTIONS, WEIGHTS, Policy, SarlPolicy, step_discount
 from sfmrl.progress import Progress
 from sfmrl.runs import Interrupted, Run, StopSignal, create_run, open_run, run_folders
-from sfmrl.scenarios import PHASES, sample_scenes
+from sfmrl.scenarios import generator, sample_scenes
 from sfmrl.states import column_names
 
 CHECKPOINT_EVERY = 20.0  # seconds between checkpoints; when they are taken changes no number
 EVALUATION_SEED = 0  # validation and test are the same episodes for every training seed, so that runs compare in pairs
 VALIDATED = ("success", "collision", "timeout", "navigation_time", "total_reward")
-BATCHES_STREAM, EXPLORATION_STREAM = len(PHASES) + 1, len(PHASES) + 2
-
-
-class Learner:
-    """A training on its way: all that has to be kept to go on to the same bits after an interruption."""
-
-    def __init__(self, network: ValueNetwork, memory: Memory, config: Config) -> None:
-        self.config, self.memory, self.network = config, memory, network
-        self.target = copy.deepcopy(network)
-        self.average = copy.deepcopy(network)
-        self.optimizer = OPTIMIZERS[config.reinforcement.optimizer](network.parameters())
-        self.rng = np.random.default_rng([config.seed, BATCHES_STREAM])
-        self.episode = self.batch = 0
-        self.rows: list[dict[str, Any]] = []
-        self.validations: list[dict[str, Any]] = []
-
-    @property
-    def tested(self) -> ValueNetwork:
-        """The network that validation and test use."""
-        return self.average if self.config.reinforcement.average else self.network
-
-    def learn(self, batches: int) -> float:
-        """So many batches of gradient descent on what is stored; returns their mean loss (NaN without any)."""
-        settings = self.config.reinforcement
-        if not len(self.memory):
-            return float("nan")
-        schedule = SCHEDULES[settings.schedule]
-        losses = []
-        for _ in range(batches):
-            rows = self.rng.choice(len(self.memory), min(settings.batch_size, len(self.memory)), replace=False)
-            progress = self.batch / max(settings.episodes * settings.batches, 1)
-            rate = settings.learning_rate * schedule(progress)
-            losses.append(learn(self.network, self.optimizer, rate, *self.memory.take(rows)))
-            if settings.average:
-                follow(self.average, self.network, 1 / settings.average)
-            self.batch += 1
-        return float(torch.stack(losses).mean()) if losses else float("nan")
-
-    def advance(self, episodes: int) -> None:
-        """So many more episodes have been learnt from: renew the target network where its interval has passed."""
-        interval = self.config.reinforcement.target_interval
-        renew = self.episode // interval < (self.episode + episodes) // interval
-        self.episode += episodes
-        if renew:
-            self.target.load_state_dict(self.network.state_dict())
-
-    def state_dict(self) -> dict[str, Any]:
-        """All that decides how the training goes on."""
-        parts = {
-            name: getattr(self, name).state_dict() for name in ("network", "target", "average", "optimizer", "memory")
-        }
-        counters = {name: getattr(self, name) for name in ("episode", "batch", "rows", "validations")}
-        return parts | counters | {"rng": generator_state(self.rng)}
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Take back what `state_dict` gave."""
-        for name in ("network", "target", "average", "optimizer", "memory"):
-            getattr(self, name).load_state_dict(saved[name])
-        for name in ("episode", "batch", "rows", "validations"):
-            setattr(self, name, saved[name])
-        set_generator_state(self.rng, saved["rng"])
 
 
 def reinforce(
@@ -254,7 +190,7 @@ def explore(policy: Policy, config: Config, episodes: Sequence[int]) -> tuple[Re
     settings = config.reinforcement
     scenes = sample_scenes(settings.environment, episodes, config.seed, phase="train")
     most = longest_episode(config.simulation)
-    rngs = [np.random.default_rng([config.seed, EXPLORATION_STREAM, episode]) for episode in episodes]
+    rngs = [generator(config.seed, "exploration", episode) for episode in episodes]
     random_steps = np.array([rng.random(most) for rng in rngs]) < epsilon(settings, np.array(episodes))[:, None]
     picks = ACTIONS[np.array([rng.integers(len(ACTIONS), size=most) for rng in rngs])]  # (E, T, 2)
 
@@ -292,13 +228,6 @@ def remember(learner: Learner, record: Record, random_steps: np.ndarray) -> None
         guess[asked] = learner.target.evaluate(states[asked[played]])[0]
     step = step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation)
     learner.memory.push(states, returns_of(record.reward, step, guess)[played])
-
-
-def follow(average: ValueNetwork, network: ValueNetwork, share: float) -> None:
-    """Move an average's parameters by `share` of the way to a network's."""
-    with torch.no_grad():
-        for slow, fast in zip(average.parameters(), network.parameters(), strict=True):
-            slow.lerp_(fast, share)
 
 
 def summary(rates: dict[str, Any]) -> str:

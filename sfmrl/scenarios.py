@@ -6,13 +6,13 @@ episodes at once. A square stands in the arrays as a resting row of its own (the
 its outline as a polygon.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from sfmrl.config import MIXES, ConfigError, suggest
-from sfmrl.geometry import length
+from sfmrl.placement import CIRCLE, RADIUS, V_PREF, Builder
 
 ENVIRONMENTS = {
     "1": "people on a circle (0.6) and separate squares (0.4), ten in all",
@@ -23,19 +23,7 @@ ENVIRONMENTS = {
     "circle": "people on a circle, no squares (CrowdNav)",
 }
 PHASES = ("train", "validation", "test", "imitation")
-
-RADIUS, V_PREF, SIDE = 0.3, 1.0, 0.6  # m, m/s, m: every disc, every preferred speed, every square
-CIRCLE, NOISE = 4.0, 0.5  # m: people start on this circle, moved by up to so much in x and in y
-GAP = 0.2  # m: between a person's disc and every start and goal
-SQUARE_GAP = 0.9  # m: from a square's centre to every other centre, start and goal
-SQUARE_REACH = 3.2  # m: environment 1's squares lie in this disc
-ATTEMPTS = 16  # proposals drawn at a time for one place
-
-# Squares' centres relative to the group's own, m: the barrier is open towards the robot, which comes from below.
-BARRIER = np.array([[-0.6, 0.0], [0.0, 0.0], [0.6, 0.0], [-0.6, -0.6], [0.6, -0.6]])
-ROW3 = np.array([[-0.6, 0.0], [0.0, 0.0], [0.6, 0.0]])
-ROW2 = np.array([[-0.3, 0.0], [0.3, 0.0]])
-MIDDLE = 1.5  # m: a group's centre is at most so far from the middle in x and in y
+STREAMS = (*PHASES, "fit", "batches", "exploration")  # everything that draws random numbers
 
 
 @dataclass(frozen=True)
@@ -123,9 +111,9 @@ def parse_mix(text: str) -> dict[str, float]:
     return shares
 
 
-def episode_generator(seed: int, phase: str, episode: int) -> np.random.Generator:
-    """The random numbers of one episode of one phase."""
-    return np.random.default_rng([seed, PHASES.index(phase), episode])
+def generator(seed: int, stream: str, *number: int) -> np.random.Generator:
+    """The random numbers of one stream, e.g. a phase's scenes, or of one `number` (an episode) in it."""
+    return np.random.default_rng([seed, STREAMS.index(stream), *number])
 
 
 def sample_scenes(
@@ -149,123 +137,14 @@ def sample_scenes(
         raise ConfigError("episodes are counted from 0")
     if phase not in PHASES:
         raise ConfigError(f"there is no phase {phase!r}; choose {', '.join(PHASES)}{suggest(phase, PHASES)}")
-    rngs = [episode_generator(seed, phase, number) for number in numbers]
+    rngs = [generator(seed, phase, number) for number in numbers]
     # One draw decides the environment, also where there is but one: episode 17 of environment 2 is then the same
     # scene as episode 17 of a mix that puts it there.
     draw = np.array([rng.random() for rng in rngs])
     names = np.array(list(shares), dtype="<U6")
     picked = names[np.minimum(np.searchsorted(np.cumsum(list(shares.values())), draw, side="right"), len(names) - 1)]
     rows = max(humans + 1 if name == "circle" else 11 for name in shares)
-    builder = _Builder(rngs, rows)
+    builder = Builder(rngs, rows)
     for name in shares:
         builder.build(name, np.flatnonzero(picked == name), humans, circle)
     return Scenes(builder.start, builder.goal, square=builder.square, environment=picked, episode=numbers)
-
-
-class _Builder:
-    """Scenes in the making: places are proposed and accepted for many episodes at once, in each one's own draws."""
-
-    def __init__(self, rngs: list[np.random.Generator], rows: int) -> None:
-        self.rngs = rngs
-        self.start = np.full((len(rngs), rows, 2), np.nan)
-        self.goal = np.full((len(rngs), rows, 2), np.nan)
-        self.start[:, 0], self.goal[:, 0] = (0.0, -4.0), (0.0, 4.0)
-        self.square = np.zeros((len(rngs), rows), dtype=bool)
-
-    def build(self, environment: str, which: np.ndarray, humans: int, circle: float) -> None:
-        """Fill the episodes `which` (indices) with one environment's people and squares."""
-        if environment == "circle":
-            for row in range(1, humans + 1):
-                self._person(which, row, circle)
-        elif environment == "1":
-            people = np.array([(self.rngs[e].random(10) < 0.6).sum() for e in which], dtype=int)
-            for row in range(1, 11):
-                self._person(which[people >= row], row, CIRCLE)
-            for row in range(1, 11):
-                self._square(which[people < row], row)
-        elif environment == "5":
-            self._group(which, 1, BARRIER, turn=False)
-            self._group(which, 6, ROW3, turn=True)
-            self._group(which, 9, ROW2, turn=True)
-        else:
-            if environment == "2":
-                self._put(which, 6, np.broadcast_to(BARRIER, (len(which), 5, 2)))
-            elif environment == "3":
-                self._group(which, 6, BARRIER, turn=False)
-            else:
-                self._group(which, 6, ROW3, turn=True)
-                self._group(which, 9, ROW2, turn=True)
-            for row in range(1, 6):
-                self._person(which, row, CIRCLE)
-
-    def _person(self, which: np.ndarray, row: int, circle: float) -> None:
-        """A person near the circle, bound for the opposite point, clear of all that is there."""
-
-        def propose(draws: np.ndarray) -> np.ndarray:  # (n, T, 3) -> start and goal (n, T, 2, 2)
-            angle = 2 * np.pi * draws[..., 0]
-            start = circle * np.stack((np.cos(angle), np.sin(angle)), -1) + NOISE * (2 * draws[..., 1:] - 1)
-            return np.stack((start, -start), axis=2)
-
-        def fits(places: np.ndarray, episodes: np.ndarray) -> np.ndarray:
-            least = np.where(self.square[episodes], SQUARE_GAP, 2 * RADIUS + GAP)
-            return self._clear(places, episodes, least)
-
-        place = self._first(which, 3, propose, fits, f"person {row}")
-        self.start[which, row], self.goal[which, row] = place[:, 0], place[:, 1]
-
-    def _square(self, which: np.ndarray, row: int) -> None:
-        """A separate square in environment 1's disc."""
-
-        def propose(draws: np.ndarray) -> np.ndarray:  # uniform in the disc: (n, T, 2) -> (n, T, 1, 2)
-            angle, reach = 2 * np.pi * draws[..., 0], SQUARE_REACH * np.sqrt(draws[..., 1])
-            return np.stack((reach * np.cos(angle), reach * np.sin(angle)), -1)[:, :, None, :]
-
-        def fits(places: np.ndarray, episodes: np.ndarray) -> np.ndarray:
-            return self._clear(places, episodes, np.full((len(episodes), self.start.shape[1]), SQUARE_GAP))
-
-        self._put(which, row, self._first(which, 2, propose, fits, f"square {row}"))
-
-    def _group(self, which: np.ndarray, row: int, shape: np.ndarray, *, turn: bool) -> None:
-        """Touching squares about a random centre in the middle, turned by 0 or 90 degrees, overlapping no other."""
-
-        def propose(draws: np.ndarray) -> np.ndarray:  # (n, T, 3) -> (n, T, P, 2)
-            turned = (draws[..., 2] < 0.5)[..., None, None] & turn
-            centre = MIDDLE * (2 * draws[..., :2] - 1)
-            return centre[:, :, None, :] + np.where(turned, shape[:, ::-1], shape)
-
-        def fits(places: np.ndarray, episodes: np.ndarray) -> np.ndarray:
-            there = np.where(self.square[episodes, :, None], self.start[episodes], np.inf)
-            apart = np.abs(places[:, :, :, None, :] - there[:, None, None]).max(-1)  # (n, T, P, N)
-            return (apart >= SIDE).all((2, 3))
-
-        self._put(which, row, self._first(which, 3, propose, fits, "a row of squares"))
-
-    def _put(self, which: np.ndarray, row: int, centres: np.ndarray) -> None:
-        rows = slice(row, row + centres.shape[1])
-        self.start[which, rows] = self.goal[which, rows] = centres
-        self.square[which, rows] = True
-
-    def _clear(self, places: np.ndarray, episodes: np.ndarray, least: np.ndarray) -> np.ndarray:
-        """Which proposals (n, T, P, 2) keep `least` (n, N) m from every start and goal there: (n, T)."""
-        fits = np.ones(places.shape[:2], dtype=bool)
-        for there in (self.start[episodes], self.goal[episodes]):
-            apart = length(places[:, :, :, None, :] - there[:, None, None])  # (n, T, P, N); NaN: nobody there
-            fits &= ~(apart < least[:, None, None]).any((2, 3))
-        return fits
-
-    def _first(self, which: np.ndarray, draws: int, propose: Callable, fits: Callable, what: str) -> np.ndarray:
-        """The first proposal that fits, for each of the episodes `which`: (n, P, 2)."""
-        found = None
-        pending = np.arange(len(which))
-        for _ in range(100):
-            episodes = which[pending]
-            numbers = [self.rngs[e].random((ATTEMPTS, draws)) for e in episodes]
-            places = propose(np.array(numbers).reshape(len(episodes), ATTEMPTS, draws))
-            good = fits(places, episodes)
-            if found is None:
-                found = places[:, 0].copy()
-            found[pending] = places[np.arange(len(episodes)), good.argmax(1)]
-            pending = pending[~good.any(1)]
-            if not len(pending):
-                return found
-        raise ConfigError(f"there is no room for {what} on this circle; fewer people or a larger circle would fit")

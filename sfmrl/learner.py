@@ -1,0 +1,83 @@
+"""A training on its way: the networks, the memory and the counters of deep V-learning, and a batch's step.
+
+The target network gives the values that others bootstrap from and is renewed at intervals; the average follows the
+network slowly and is what a quick training is tested with (Polyak and Juditsky, 1992).
+"""
+
+import copy
+from typing import Any
+
+import torch
+
+from sfmrl.config import Config
+from sfmrl.learning import OPTIMIZERS, SCHEDULES, generator_state, learn, set_generator_state
+from sfmrl.memory import Memory
+from sfmrl.network import ValueNetwork
+from sfmrl.scenarios import generator
+
+
+class Learner:
+    """All that has to be kept to go on to the same bits after an interruption."""
+
+    def __init__(self, network: ValueNetwork, memory: Memory, config: Config) -> None:
+        self.config, self.memory, self.network = config, memory, network
+        self.target = copy.deepcopy(network)
+        self.average = copy.deepcopy(network)
+        self.optimizer = OPTIMIZERS[config.reinforcement.optimizer](network.parameters())
+        self.rng = generator(config.seed, "batches")
+        self.episode = self.batch = 0
+        self.rows: list[dict[str, Any]] = []
+        self.validations: list[dict[str, Any]] = []
+
+    @property
+    def tested(self) -> ValueNetwork:
+        """The network that validation and test use."""
+        return self.average if self.config.reinforcement.average else self.network
+
+    def learn(self, batches: int) -> float:
+        """So many batches of gradient descent on what is stored; returns their mean loss (NaN without any)."""
+        settings = self.config.reinforcement
+        if not len(self.memory):
+            return float("nan")
+        schedule = SCHEDULES[settings.schedule]
+        losses = []
+        for _ in range(batches):
+            rows = self.rng.choice(len(self.memory), min(settings.batch_size, len(self.memory)), replace=False)
+            progress = self.batch / max(settings.episodes * settings.batches, 1)
+            rate = settings.learning_rate * schedule(progress)
+            losses.append(learn(self.network, self.optimizer, rate, *self.memory.take(rows)))
+            if settings.average:
+                follow(self.average, self.network, 1 / settings.average)
+            self.batch += 1
+        return float(torch.stack(losses).mean()) if losses else float("nan")
+
+    def advance(self, episodes: int) -> None:
+        """So many more episodes have been learnt from: renew the target network where its interval has passed."""
+        interval = self.config.reinforcement.target_interval
+        renew = self.episode // interval < (self.episode + episodes) // interval
+        self.episode += episodes
+        if renew:
+            self.target.load_state_dict(self.network.state_dict())
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that decides how the training goes on."""
+        parts = {
+            name: getattr(self, name).state_dict() for name in ("network", "target", "average", "optimizer", "memory")
+        }
+        counters = {name: getattr(self, name) for name in ("episode", "batch", "rows", "validations")}
+        return parts | counters | {"rng": generator_state(self.rng)}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Take back what `state_dict` gave."""
+        for name in ("network", "target", "average", "optimizer", "memory"):
+            getattr(self, name).load_state_dict(saved[name])
+        for name in ("episode", "batch", "rows", "validations"):
+            setattr(self, name, saved[name])
+        set_generator_state(self.rng, saved["rng"])
+
+
+def follow(average: ValueNetwork, network: ValueNetwork, share: float) -> None:
+    """Move an average's parameters by `share` of the way to a network's."""
+    with torch.no_grad():
+        for slow, fast in zip(average.parameters(), network.parameters(), strict=True):
+            slow.lerp_(fast, share)
