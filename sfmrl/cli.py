@@ -273,7 +273,8 @@ def main() -> None:
     try:
         code = app(standalone_mode=False)
     except typer.TyperException as error:
-        code, reason = 2, error.format_message()
+        where = getattr(getattr(error, "ctx", None), "command_path", "sfmrl")
+        code, reason = 2, f"{error.format_message().rstrip('.')}; see {where} --help"
     except (ConfigError, DamagedFile) as error:
         code, reason = 2, str(error)
     except (KeyboardInterrupt, typer.Abort):

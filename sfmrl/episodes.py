@@ -12,7 +12,7 @@ import numpy as np
 from sfmrl.config import Reward, Simulation
 from sfmrl.crowd import World, advance, crowd_velocities, reset, transition
 from sfmrl.policies import Policy, find_policy, step_discount
-from sfmrl.rewards import OUTCOMES, RUNNING, Transition, reward_terms, total
+from sfmrl.rewards import OUTCOMES, RUNNING, Terms, Transition, reward_terms, total
 from sfmrl.scenarios import Scenes
 from sfmrl.states import robot_states
 
@@ -111,6 +111,7 @@ def play_episodes(
     progress: Callable[[int], None] = lambda done: None,
 ) -> Record:
     """`play` with whole configs, `batch` episodes at a time; `progress` is told how many have ended."""
+    terms = reward_terms(reward)
     whole = reset(scenes, simulation)
     count, rows = whole.position.shape[:2]
     longest = longest_episode(simulation)
@@ -125,6 +126,8 @@ def play_episodes(
         moves = crowd_velocities(world)
         action = policy(world, moves)
         step = transition(world, action)
+        if not steps.any():
+            terms(step)  # a reward that cannot be used is better found now than after the last episode
         for item in fields(Transition):
             getattr(kept, item.name)[world.episode, world.steps] = getattr(step, item.name)
         world = advance(world, moves, action)
@@ -140,7 +143,7 @@ def play_episodes(
 
     steps_taken = int(steps.max(initial=0))
     kept = kept[:, :steps_taken]
-    rewards = rewards_of(kept, steps, reward)
+    rewards = rewards_of(kept, steps, terms)
     first = returns_of(rewards, step_discount(discount, scenes.v_pref[:, 0], simulation))[:, :1].sum(1)
     position, velocity = position[:, : steps_taken + 1], velocity[:, : steps_taken + 1]
     return Record(scenes, simulation, steps, position, velocity, kept, rewards, first)
@@ -151,11 +154,14 @@ def longest_episode(simulation: Simulation) -> int:
     return int(np.ceil((simulation.time_limit - 1.0) / simulation.time_step - 1e-9)) + 1
 
 
-def rewards_of(transition: Transition, steps: np.ndarray, reward: Reward) -> np.ndarray:
-    """The reward of every step played, (E, T), NaN after an episode's end; `transition` (E, T), `steps` (E,)."""
+def rewards_of(transition: Transition, steps: np.ndarray, terms: Callable[[Transition], Terms]) -> np.ndarray:
+    """The reward of every step played, (E, T), NaN after an episode's end; `transition` (E, T), `steps` (E,).
+
+    `terms` is what `reward_terms` returns.
+    """
     played = np.arange(transition.outcome.shape[1]) < steps[:, None]
     rewards = np.full(played.shape, np.nan)
-    rewards[played] = total(reward_terms(reward)(transition[played]))
+    rewards[played] = total(terms(transition[played]))
     return rewards
 
 

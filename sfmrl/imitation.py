@@ -19,7 +19,7 @@ from sfmrl.memory import Memory
 from sfmrl.network import ValueNetwork, save_weights
 from sfmrl.policies import WEIGHTS, orca_policy, step_discount
 from sfmrl.progress import Progress
-from sfmrl.rewards import Transition
+from sfmrl.rewards import Transition, reward_terms
 from sfmrl.runs import Interrupted, Run, StopSignal
 from sfmrl.scenarios import Scenes, generator, sample_scenes
 from sfmrl.states import OWN, column_names
@@ -71,7 +71,7 @@ def make_memory(config: Config) -> Memory:
 def fill_memory(memory: Memory, record: Record, config: Config) -> None:
     """Store the demonstrations' states with their returns under `config`'s reward; timed-out episodes are left out."""
     record = record.take(record.outcome != "timeout")
-    rewards = rewards_of(record.transition, record.steps, config.reward)
+    rewards = rewards_of(record.transition, record.steps, reward_terms(config.reward))
     returns = returns_of(rewards, step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation))
     memory.push(record.states(config.forces), returns[record.played])
 

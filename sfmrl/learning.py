@@ -39,8 +39,8 @@ def _one_cycle(progress: float) -> float:
 
 SCHEDULES: dict[str, Callable[[float], float]] = {"constant": _constant, "linear": _linear, "one-cycle": _one_cycle}
 OPTIMIZERS: dict[str, Callable[..., torch.optim.Optimizer]] = {
-    "sgd": lambda parameters: torch.optim.SGD(parameters, lr=0.0, momentum=MOMENTUM),
-    "adam": lambda parameters: torch.optim.Adam(parameters, lr=0.0),
+    "sgd": lambda parameters: torch.optim.SGD(parameters, lr=0.0, momentum=MOMENTUM, fused=True),
+    "adam": lambda parameters: torch.optim.Adam(parameters, lr=0.0, fused=True),
 }
 
 
