@@ -89,7 +89,7 @@ def rl(
     """Reinforcement: deep V-learning on from what imitation gave, then a test."""
     from sfmrl.reinforcement import reinforce, start_run
 
-    use_threads(threads)
+    workers = use_threads(threads)
     if resume:
         current = reopen(
             "rl", resume, [variant, source, from_scratch or None, run, overwrite or None, *settings.values()]
@@ -104,7 +104,7 @@ def rl(
     if current.facts["imitation"]:
         say(f"from imitation run {current.facts['imitation']}")
     result = train(
-        current, lambda progress, stop: reinforce(current, progress, stop, say, threads=torch_threads(), device=device)
+        current, lambda progress, stop: reinforce(current, progress, stop, say, threads=workers, device=device)
     )
     print_metrics(result, f"test of {current.folder}, environment {current.config.reinforcement.test_environment}")
     say(f"done: {current.folder}; next: sfmrl eval, sfmrl ascii-render")
@@ -190,7 +190,9 @@ def ascii_render(
     environment = environment or config.reinforcement.test_environment
     scene = sample_scenes(environment, [episode], seed)
     record = play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount)
-    pictures = replay.make_frames(record, 0, policy=chosen, label=name, reward=config.reward, **size)
+    pictures = replay.make_frames(
+        record, 0, policy=chosen, label=name, reward=config.reward, discount=config.discount, **size
+    )
     if frames or not out.is_terminal or out.is_dumb_terminal:
         for picture in replay.strip(pictures, frames or 6):
             out.print(picture.text if out.is_terminal else picture.plain, highlight=False)
@@ -212,22 +214,13 @@ def reopen(kind: str, folder: Path, given: list[Any]) -> Any:
     return open_run(folder, kind)
 
 
-def use_threads(threads: int | None) -> None:
-    """Let torch use so many threads: before any work, since the numbers may depend on it."""
+def use_threads(threads: int | None) -> int:
+    """How many threads to work on; torch itself is kept to one in each, so that their number changes no result."""
     import torch
 
-    torch.set_num_threads(threads or available_cores())
-
-
-def torch_threads() -> int:
-    """How many threads torch was told to use."""
-    import torch
-
-    return torch.get_num_threads()
-
-
-def available_cores() -> int:
-    """Cores that this process may use."""
+    torch.set_num_threads(1)
+    if threads:
+        return threads
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -253,9 +246,7 @@ def choose(policy: str | None, settings: dict[str, Any], threads: int | None, de
     from sfmrl.policies import POLICIES, load_policy
 
     name = policy or newest()
-    if name not in POLICIES:
-        use_threads(threads)
-    chosen = load_policy(name, threads=threads or available_cores(), device=device)
+    chosen = load_policy(name) if name in POLICIES else load_policy(name, use_threads(threads), device)
     return chosen, name, override(getattr(chosen, "config", Config()), settings)
 
 

@@ -122,6 +122,7 @@ class Reinforcement(_Checked):
 
     episodes: int = knob(10_000, "training episodes", least=1)
     parallel: int = knob(1, "episodes played side by side", least=1)
+    overlap: bool = knob(False, "learn from the last episodes while the next are played, with the network of before")
     batches: int = knob(100, "batches of learning an episode (CRI)", least=0)
     batch_size: int = knob(100, "states in a batch", least=1)
     optimizer: str = knob("sgd", "sgd (momentum 0.9) or adam", choices=_OPTIMIZERS)
@@ -211,6 +212,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "reinforcement": {
             "episodes": 2000,
             "parallel": 32,
+            "overlap": True,
             "batches": 6,
             "batch_size": 200,
             "optimizer": "adam",

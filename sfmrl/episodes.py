@@ -16,7 +16,7 @@ from sfmrl.rewards import OUTCOMES, RUNNING, Terms, Transition, reward_terms, to
 from sfmrl.scenarios import Scenes
 from sfmrl.states import robot_states
 
-BATCH = 256  # episodes side by side
+BATCH = 256  # episodes side by side, where a policy does not name another number
 
 
 @dataclass(frozen=True)
@@ -107,10 +107,11 @@ def play_episodes(
     simulation: Simulation,
     *,
     discount: float = 0.9,
-    batch: int = BATCH,
+    batch: int | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Record:
     """`play` with whole configs, `batch` episodes at a time; `progress` is told how many have ended."""
+    batch = getattr(policy, "batch", BATCH) if batch is None else batch
     terms = reward_terms(reward)
     whole = reset(scenes, simulation)
     count, rows = whole.position.shape[:2]

@@ -15,6 +15,9 @@ from sfmrl.memory import Memory
 from sfmrl.network import ValueNetwork
 from sfmrl.scenarios import generator
 
+PARTS = ("network", "actor", "target", "average", "optimizer", "memory")
+COUNTERS = ("episode", "batch", "rows", "validations")
+
 
 class Learner:
     """All that has to be kept to go on to the same bits after an interruption."""
@@ -23,6 +26,8 @@ class Learner:
         self.config, self.memory, self.network = config, memory, network
         self.target = copy.deepcopy(network)
         self.average = copy.deepcopy(network)
+        # What explores: the network itself, or what it was before the batches that are being learnt meanwhile.
+        self.actor = copy.deepcopy(network) if config.reinforcement.overlap else network
         self.optimizer = OPTIMIZERS[config.reinforcement.optimizer](network.parameters())
         self.rng = generator(config.seed, "batches")
         self.episode = self.batch = 0
@@ -59,19 +64,22 @@ class Learner:
         if renew:
             self.target.load_state_dict(self.network.state_dict())
 
+    def renew_actor(self) -> None:
+        """Let the next episodes be played with the network as it is now."""
+        if self.actor is not self.network:
+            self.actor.load_state_dict(self.network.state_dict())
+
     def state_dict(self) -> dict[str, Any]:
         """All that decides how the training goes on."""
-        parts = {
-            name: getattr(self, name).state_dict() for name in ("network", "target", "average", "optimizer", "memory")
-        }
-        counters = {name: getattr(self, name) for name in ("episode", "batch", "rows", "validations")}
+        parts = {name: getattr(self, name).state_dict() for name in PARTS}
+        counters = {name: getattr(self, name) for name in COUNTERS}
         return parts | counters | {"rng": generator_state(self.rng)}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Take back what `state_dict` gave."""
-        for name in ("network", "target", "average", "optimizer", "memory"):
+        for name in PARTS:
             getattr(self, name).load_state_dict(saved[name])
-        for name in ("episode", "batch", "rows", "validations"):
+        for name in COUNTERS:
             setattr(self, name, saved[name])
         set_generator_state(self.rng, saved["rng"])
 

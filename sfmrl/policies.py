@@ -127,10 +127,12 @@ class SarlPolicy:
     are spread over `threads` threads, each with one of torch's own; what shares a block changes no number.
     """
 
+    batch = 32  # episodes side by side: the network is what takes the time, and more would only end later
+
     def __init__(self, network, config: Config, threads: int = 1) -> None:
         self.network, self.config = network, config
         self._terms = reward_terms(config.reward)
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._pool = worker_threads(threads) if threads > 1 else None
 
     def __call__(self, world: World, crowd_velocity: np.ndarray) -> np.ndarray:
         look = self.lookahead(world, crowd_velocity)
@@ -169,6 +171,13 @@ class SarlPolicy:
         if self.config.collision_ends:
             ahead = np.where(step.outcome == COLLISION, 0.0, ahead)
         return reward + step_discount(self.config.discount, world.v_pref[:, :1], world.simulation) * ahead
+
+
+def worker_threads(count: int) -> ThreadPoolExecutor:
+    """Threads to compute on, with torch kept to the one thread in each that it is."""
+    import torch
+
+    return ThreadPoolExecutor(count, initializer=lambda: torch.set_num_threads(1))
 
 
 def step_discount(discount: float, v_pref: np.ndarray, simulation: Simulation) -> np.ndarray:

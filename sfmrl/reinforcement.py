@@ -8,6 +8,7 @@ comes from the seed and the number of the episode or batch, so what is played si
 
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from sfmrl.files import DamagedFile, read_sums
 from sfmrl.imitation import DEMONSTRATIONS, fill_memory, fit_memory, load_demonstrations, make_memory, new_fit
 from sfmrl.learner import Learner
 from sfmrl.network import ValueNetwork, load_weights, save_weights
-from sfmrl.policies import ACTIONS, WEIGHTS, Policy, SarlPolicy, step_discount
+from sfmrl.policies import ACTIONS, WEIGHTS, Policy, SarlPolicy, step_discount, worker_threads
 from sfmrl.progress import Progress
 from sfmrl.runs import Interrupted, Run, StopSignal, create_run, open_run, run_folders
 from sfmrl.scenarios import generator, sample_scenes
@@ -50,8 +51,7 @@ def reinforce(
     learner = begin(run, progress, stop, say, device)
     run.write_table("metrics.csv", learner.rows)
     run.write_table("validation.csv", learner.validations)
-    policy, tested = (SarlPolicy(network, config, threads) for network in (learner.network, learner.tested))
-    saved_at = time.monotonic()
+    tested = SarlPolicy(learner.tested, config, threads)
 
     def test(phase: str, episodes: int) -> dict[str, Any]:
         return evaluate(
@@ -73,30 +73,57 @@ def reinforce(
             say(f"validation at {learner.episode} of {settings.episodes} episodes: {summary(rates)}")
         if learner.episode >= settings.episodes:
             break
-        boundary = settings.validation_interval * (learner.episode // settings.validation_interval + 1)
-        stretch = min(boundary, settings.episodes) - learner.episode
-        with progress("reinforcement", stretch) as told:
-            while stretch > 0:
-                episodes = range(learner.episode, learner.episode + min(settings.parallel, stretch))
-                record, random_steps = explore(policy, config, episodes)
-                remember(learner, record, random_steps)
-                loss = learner.learn(len(episodes) * settings.batches)
-                learner.advance(len(episodes))
-                rows = [row | {"loss": loss} for row in episode_rows(record)]
-                learner.rows += rows
-                run.append_rows("metrics.csv", rows)
-                stretch -= len(episodes)
-                told(len(episodes))
-                if stop.requested or time.monotonic() - saved_at > CHECKPOINT_EVERY:
-                    run.save_checkpoint(learner.state_dict())
-                    saved_at = time.monotonic()
-                if stop.requested:
-                    raise Interrupted
+        train_stretch(run, learner, progress, stop, threads)
     run.save_checkpoint(learner.state_dict())
     result = test("test", settings.test_episodes)
     run.write_json("result.json", result)
     save_weights(learner.tested, config, run.folder / WEIGHTS)
     return result
+
+
+def train_stretch(run: Run, learner: Learner, progress: Progress, stop: StopSignal, threads: int) -> None:
+    """Play and learn up to the next validation.
+
+    With `overlap` a round's episodes are played while the batches of the round before are learnt, on another thread;
+    what either reads is fixed before both begin, so the order in which they end makes no difference.
+    """
+    config, settings = run.config, run.config.reinforcement
+    aside = settings.overlap and threads > 1
+    policy = SarlPolicy(learner.actor, config, threads - aside)
+    interval = settings.validation_interval
+    end = min(interval * (learner.episode // interval + 1), settings.episodes)
+    saved_at = time.monotonic()
+    pending: tuple[Record, Future[float]] | None = None
+
+    def finish(pending: tuple[Record, Future[float]]) -> None:
+        record, learning = pending
+        loss = learning.result()
+        learner.advance(len(record.steps))
+        rows = [row | {"loss": loss} for row in episode_rows(record)]
+        learner.rows += rows
+        run.append_rows("metrics.csv", rows)
+        told(len(rows))
+
+    with progress("reinforcement", end - learner.episode) as told, worker_threads(1) as background:
+        first = learner.episode
+        while first < end:
+            episodes = range(first, min(first + settings.parallel, end))
+            first = episodes.stop
+            record, random_steps = explore(policy, config, episodes)
+            if pending:
+                finish(pending)
+            remember(learner, record, random_steps)
+            learner.renew_actor()
+            pending = record, background.submit(learner.learn, len(episodes) * settings.batches)
+            save = stop.requested or first == end or time.monotonic() - saved_at > CHECKPOINT_EVERY
+            if save or not aside:
+                finish(pending)
+                pending = None
+            if save:
+                run.save_checkpoint(learner.state_dict())
+                saved_at = time.monotonic()
+            if stop.requested:
+                raise Interrupted
 
 
 def start_run(config: Config, source: Path | None, from_scratch: bool, folder: Path | None, overwrite: bool) -> Run:

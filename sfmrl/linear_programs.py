@@ -1,0 +1,225 @@
+"""Two-dimensional linear programs over velocities, many at once.
+
+Each program has M half-planes and a disc of radius `max_speed`. A half-plane is the left side of the directed line
+(point, direction), so a velocity v violates it by det(direction, point - v) > 0. Half-planes come as one float32 array
+(4, M, Q): point x, point y, direction x, direction y, then half-plane, then program; a half-plane of zeros constrains
+nothing.
+
+The paper adds one half-plane after the other. Here every program takes the same three steps instead:
+1. the best velocity of the disc: most often it is permitted;
+2. the best velocity of the disc on the line that it violates most: most often that one is permitted;
+3. the best permitted velocity on each line violated by it. One of them is the optimum, for the way from the optimum to
+   any velocity that is best under fewer constraints leads out of one of the half-planes that hold the optimum.
+
+Where no velocity fits, the greatest violation of the soft half-planes is minimised. One of them, the carrier, is
+violated most at that optimum, and being so is again a set of half-planes, those of its bisectors with the others: the
+carrier's own violation is minimised in it by the same three steps. Every velocity violates at least one carrier.
+
+Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, sections 5.2 and 5.3; de Berg et al.,
+"Computational Geometry", chapter 4. Left out: the random order of insertion, which only the paper's way needs.
+"""
+
+import numpy as np
+
+INFINITY = np.float32(np.inf)
+HUGE, TINY, TINIER = np.float32(1e38), np.float32(1e-20), np.float32(1e-30)
+
+
+def nearest_velocities(half_planes, max_speed, preferred):
+    """Return the permitted velocities (2, Q) nearest to the preferred ones, and whether there are any (Q,).
+
+    half_planes (4, M, Q), max_speed (Q,) in m/s, preferred (2, Q) in m/s; all float32. Where there is none, the
+    velocity is within the disc.
+    """
+
+    def wish(line, program):
+        wish_x, wish_y = preferred.take(program, axis=1)
+        return line[2] * (wish_x - line[0]) + line[3] * (wish_y - line[1])
+
+    def cost(velocity, program):
+        away_x, away_y = velocity - preferred.take(program, axis=1)
+        return away_x * away_x + away_y * away_y
+
+    return _optima(half_planes, max_speed, limit_speed(preferred, max_speed), wish, cost)
+
+
+def least_violations(half_planes, n_hard, max_speed, velocity):
+    """Return the velocities (2, Q) that violate the soft half-planes least, and whether there are any (Q,).
+
+    The first n_hard of the half_planes (4, M, Q) are hard: never violated. max_speed (Q,) and any velocities (2, Q)
+    within it, the fewer half-planes they violate the better, are in m/s; all float32.
+    """
+    # Every velocity that no hard half-plane forbids violates some carrier: take the one that leaves fewer to try.
+    violated = violations(half_planes, velocity) > 0
+    violated_at_rest = violations(half_planes, np.zeros((2, 1), np.float32)) > 0
+    at_rest = violated_at_rest.sum(axis=0) < violated.sum(axis=0)
+    if n_hard:
+        at_rest |= violated[:n_hard].any(axis=0)
+    violated ^= (violated ^ violated_at_rest) & at_rest
+    carrier, owner = _lines_where(violated[n_hard:], half_planes[:, n_hard:])
+    speed = max_speed[owner]
+    normal_x, normal_y = -carrier[3], carrier[2]
+    projected, possible = _bisectors(half_planes.take(owner, axis=2, mode="clip"), n_hard, carrier)
+
+    def wish(line, program):
+        return np.copysign(INFINITY, normal_x[program] * line[2] + normal_y[program] * line[3])
+
+    def cost(velocity, program):
+        return -(normal_x[program] * velocity[0] + normal_y[program] * velocity[1])
+
+    best, feasible = _optima(projected, speed, np.stack([normal_x * speed, normal_y * speed]), wish, cost)
+    fits = np.flatnonzero(feasible & possible)
+    found = np.zeros(len(max_speed), bool)
+    _keep_best(velocity, found, owner[fits], violations(carrier, best)[fits], best.take(fits, axis=1))
+    return velocity, found
+
+
+def one_by_one(half_planes, max_speed, preferred):
+    """Return the velocities (2, Q) nearest to the preferred ones within the first half-planes, up to one that none fits.
+
+    Shapes and units as in `nearest_velocities`.
+    """
+    velocity = limit_speed(preferred, max_speed)
+    program = np.arange(len(max_speed))
+    for m in range(half_planes.shape[1]):
+        outside = violations(half_planes[:, m, program], velocity[:, program]) > 0
+        moved = program[outside]
+        line = half_planes[:, m, moved]
+        left, right = _interval(line, half_planes[:, :m, moved], max_speed[moved])
+        wish = line[2] * (preferred[0, moved] - line[0]) + line[3] * (preferred[1, moved] - line[1])
+        fits = left <= right
+        velocity[:, moved[fits]] = _along(line, left, right, wish)[:, fits]
+        outside[outside] = ~fits
+        program = program[~outside]
+    return velocity
+
+
+def violations(half_planes, velocity):
+    """Return by how much (M, Q), in m/s, each velocity (2, Q) lies outside each of its half-planes (4, M, Q)."""
+    point_x, point_y, direction_x, direction_y = half_planes
+    excess = point_y - velocity[1]
+    excess *= direction_x
+    sideways = point_x - velocity[0]
+    sideways *= direction_y
+    excess -= sideways
+    return excess
+
+
+def limit_speed(velocity, max_speed):
+    """Return the velocities (2, Q) with those faster than max_speed (Q,) shortened to it."""
+    squared = velocity[0] * velocity[0] + velocity[1] * velocity[1]
+    return choose(bits(squared > max_speed * max_speed), velocity * (1 / np.sqrt(squared)) * max_speed, velocity)
+
+
+def choose(mask, yes, no):
+    """Return float32 `yes` where the mask has all `bits` and `no` where it has none, much faster than np.where."""
+    no = no.view(np.int32)
+    chosen = np.bitwise_xor(yes.view(np.int32), no)
+    chosen = np.bitwise_and(chosen, mask, out=chosen if chosen.ndim >= mask.ndim else None)
+    chosen ^= no
+    return chosen.view(np.float32)
+
+
+def bits(condition):
+    """Return int32 with all bits set where the condition holds, and none elsewhere."""
+    mask = condition.astype(np.int32)
+    return np.negative(mask, out=mask)
+
+
+def _optima(half_planes, max_speed, velocity, wish, cost):
+    """Return the best permitted velocities (2, Q), and whether there are any (Q,).
+
+    `velocity` (2, Q) is the best within the disc alone. For lines (4, K) and their programs (K,), `wish` tells how far
+    along the line the best velocity would be, and `cost` how bad velocities (2, K) are.
+    """
+    feasible = np.ones(len(max_speed), bool)
+    excess = violations(half_planes, velocity)
+    most = excess.max(axis=0)
+    most[most <= 0] = np.nan
+    line, program = _lines_where(excess == most, half_planes)
+    left, right = _chord(line, max_speed[program])
+    meets = np.flatnonzero(left <= right)
+    velocity[:, program[meets]] = _along(line, left, right, wish(line, program)).take(meets, axis=1)
+
+    line, program = _lines_where(violations(half_planes, velocity) > 0, half_planes)
+    feasible[program] = False
+    left, right = _interval(line, half_planes.take(program, axis=2, mode="clip"), max_speed[program])
+    candidate = _along(line, left, right, wish(line, program))
+    fits = np.flatnonzero(left <= right)
+    program, candidate = program[fits], candidate.take(fits, axis=1)
+    _keep_best(velocity, feasible, program, cost(candidate, program), candidate)
+    return velocity, feasible
+
+
+def _lines_where(condition, half_planes):
+    """Return the lines (4, K) for which the condition (M, Q) holds, and the programs (K,) whose they are."""
+    chosen = np.flatnonzero(condition)
+    return half_planes.reshape(4, -1).take(chosen, axis=1), chosen % condition.shape[1]
+
+
+def _along(line, left, right, wish):
+    """Return the velocities (2, K) on lines (4, K) that are nearest to `wish` between their ends `left` and `right`."""
+    return line[:2] + np.minimum(np.maximum(wish, left), right) * line[2:]
+
+
+def _chord(line, max_speed):
+    """Return the left and right ends (K,) of the part of lines (4, K) inside the disc, NaN where they miss it."""
+    point_x, point_y, direction_x, direction_y = line
+    middle = point_x * direction_x + point_y * direction_y
+    half = np.sqrt(middle * middle + max_speed * max_speed - (point_x * point_x + point_y * point_y))
+    return -middle - half, half - middle
+
+
+def _interval(line, others, max_speed):
+    """Return the left and right ends (K,) of the permitted part of lines (4, K); it is empty unless left <= right.
+
+    A line coincides with itself, and half-planes of zeros with everything: the tiny numbers make such pairs meet far
+    away on the right. Other parallel lines meet far away on the side that permits or forbids everything.
+    """
+    point_x, point_y, direction_x, direction_y = line
+    others_x, others_y, along_x, along_y = others
+    sine = direction_x * along_y
+    sine -= direction_y * along_x
+    sine += TINIER
+    meeting = point_y - others_y
+    meeting *= along_x
+    sideways = point_x - others_x
+    sideways *= along_y
+    meeting -= sideways
+    meeting += TINY
+    meeting /= sine
+    # Where the sine is positive, the meeting is a right end, and the guard drops out of the maximum.
+    guard = np.multiply(sine, -HUGE, out=sine)
+    left, right = _chord(line, max_speed)
+    right = np.minimum(np.maximum(meeting, guard, out=sideways).min(axis=0, initial=INFINITY), right)
+    left = np.maximum(np.minimum(meeting, guard, out=sideways).max(axis=0, initial=-INFINITY), left)
+    return left, right
+
+
+def _bisectors(half_planes, n_hard, line):
+    """Return the half-planes (4, M, K) where each line (4, K) is the most violated soft one, and if there may be any (K,).
+
+    half_planes (4, M, K) are all those of the line's program; the hard ones stay as they are.
+    """
+    point_x, point_y, along_x, along_y = half_planes[:, n_hard:]
+    more = along_x * point_y - along_y * point_x - (line[2] * line[1] - line[3] * line[0])
+    turn_x, turn_y = along_x - line[2], along_y - line[3]
+    squared = turn_x * turn_x + turn_y * turn_y
+    # Of two lines in the same direction, one is violated more everywhere.
+    possible = ~((squared == 0) & (more > 0)).any(axis=0)
+    scale = 1 / np.sqrt(squared + TINIER)
+    more *= scale
+    turn_x *= scale
+    turn_y *= scale
+    np.stack([-more * turn_y, more * turn_x, turn_x, turn_y], out=half_planes[:, n_hard:])
+    return half_planes, possible
+
+
+def _keep_best(velocity, found, program, cost, candidate):
+    """Write each program's candidate (2, K) of the least cost (K,) into velocity (2, Q), and True into found (Q,)."""
+    least = np.full(len(found), INFINITY)
+    np.minimum.at(least, program, cost)
+    best = np.flatnonzero(cost == least[program])
+    program = program[best]
+    velocity[:, program] = candidate.take(best, axis=1)
+    found[program] = True

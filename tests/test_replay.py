@@ -1,0 +1,472 @@
+"""Replay frames: they fit, they show what is where, and they say what the record says."""
+
+import io
+import os
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+from rich.text import Text
+
+from sfmrl.canvas import Canvas, View, fit_view
+from sfmrl.config import Reward, Simulation, make_config
+from sfmrl.episodes import Record, play
+from sfmrl.panel import SHADES, action_disc
+from sfmrl.policies import ACTIONS, Lookahead, SarlPolicy
+from sfmrl.replay import make_frames, play_live, scene_picture, strip
+from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
+from sfmrl.scenarios import Scenes, sample_scenes
+from sfmrl.screen import Player
+
+SIZES = [(80, 24), (120, 40), (60, 16), (40, 12), (200, 50), (20, 8), (9, 4), (1, 1)]
+
+
+class Eyes:
+    """Stands for SARL: attention to the elements as given, and every action worth its speed along the x axis."""
+
+    def __init__(self, *attention):
+        self.shares = np.array(attention)
+
+    def attention(self, world):
+        return np.tile(self.shares, (len(world), 1))
+
+    def lookahead(self, world, crowd_velocity):
+        actions = np.tile(ACTIONS, (len(world), 1, 1))
+        return Lookahead(actions, actions[..., 0], actions[..., 0].argmax(1))
+
+
+def record_of(position, *, outcome=SUCCESS, separations=None, square=False, goal=(0.0, 4.0), reward=0.0):
+    """A record of one episode with these positions (T + 1, N, 2); nobody is near unless `separations` (T, K) say so."""
+    position = np.asarray(position, dtype=float)
+    steps, rows = len(position) - 1, position.shape[1]
+    velocity = np.concatenate((0 * position[:1], np.diff(position, axis=0) / 0.25))
+    goals = np.tile(np.asarray(goal, dtype=float), (rows, 1))
+    outcomes = np.full(steps, RUNNING)
+    outcomes[-1] = outcome
+    if separations is None:
+        separations = np.full((steps, rows - 1), np.inf)
+    transition = Transition(
+        time=0.25 * np.arange(1, steps + 1),
+        velocity=velocity[1:, 0],
+        preferred_velocity=np.tile((0.0, 1.0), (steps, 1)),
+        goal_distance=np.hypot(*(position[1:, 0] - goals[0]).T),
+        separations=np.asarray(separations, dtype=float),
+        outcome=outcomes,
+    )
+    return Record(
+        Scenes(position[None, 0], goals[None], square=square, environment="2", episode=np.array([17])),
+        Simulation(),
+        steps=np.array([steps]),
+        position=position[None],
+        velocity=velocity[None],
+        transition=transition[None],
+        reward=np.full((1, steps), reward),
+        discounted_return=np.zeros(1),
+    )
+
+
+def walk(steps=8, others=((2.0, 0.0), (-2.0, 1.0))):
+    """Positions of a robot that walks up from (0, -4) by 1 m a step, and of others who stand."""
+    robot = np.stack((np.zeros(steps + 1), -4.0 + np.arange(steps + 1)), -1)
+    return np.concatenate((robot[:, None], np.tile(np.asarray(others).reshape(1, -1, 2), (steps + 1, 1, 1))), 1)
+
+
+def assert_fits(picture, width, height):
+    lines = picture.split("\n")
+    assert len(lines) <= height
+    assert max(map(len, lines)) <= width
+    assert all(Text(line).cell_len == len(line) for line in lines), "a glyph is not one column wide"
+
+
+def find(glyph, frame):
+    """Row and column of a glyph that stands only once in the map."""
+    places = [(r, line.index(glyph)) for r, line in enumerate(frame.plain.split("\n")[1:-3]) if glyph in line[:47]]
+    assert len(places) == 1, frame.plain
+    return np.array(places[0])
+
+
+@pytest.fixture(scope="module")
+def played():
+    """An episode of environment 2 that an untrained SARL has played, and its policy."""
+    from sfmrl.network import ValueNetwork
+
+    policy = SarlPolicy(ValueNetwork(forces=True, value_prior=True), make_config("quick", "sarl-sfm6"))
+    return play(sample_scenes("2", [2]), policy, reward=policy.config.reward), policy
+
+
+@pytest.mark.parametrize("ascii_only", [False, True])
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_frames_fit_and_show_the_robot(width, height, ascii_only):
+    scenes = sample_scenes("2", [2])
+    record, policy = play(scenes, "orca"), Eyes(*np.full(10, 0.1))
+    frames = make_frames(record, policy=policy, label="eyes", width=width, height=height, ascii_only=ascii_only)
+    assert len(frames) == record.steps[0] + 1
+    for frame in frames:
+        assert_fits(frame.plain, width, height)
+        assert "@" in frame.plain
+        assert frame.plain.isascii() == ascii_only or min(width, height) < 5
+        if height >= 8:
+            assert frame.plain.count("\n") + 1 == height
+
+
+def test_seven_bits_whatever_the_label():
+    for frame in make_frames(record_of(walk()), label="Straße\n漢字 [bold]", ascii_only=True):
+        assert frame.plain.isascii()
+        assert "[bold]" in frame.plain
+        assert_fits(frame.plain, 80, 24)
+
+
+def test_view_puts_metres_into_cells():
+    view = View(left=-2.0, top=2.0, row=0.4, rows=10, columns=20)
+    points = np.array([[0.01, -0.01], [-1.99, 1.99], [1.99, -1.99], [0.21, 0.39]])
+    np.testing.assert_array_equal(view.cells(points), [[5, 10], [0, 0], [9, 19], [4, 11]])
+    canvas = Canvas(view)
+    canvas.put(np.array([0.21, 0.39]), "@")
+    canvas.put(np.array([9.0, 9.0]), "!")
+    canvas.put(np.array([np.nan, 0.0]), "!")
+    rows = [line.plain for line in canvas.lines()]
+    assert rows[4] == " " * 11 + "@" + " " * 8
+    assert "".join(rows).strip() == "@"
+
+
+def test_a_column_is_half_a_row_so_that_circles_look_round():
+    angle = np.arange(360) * np.pi / 180
+    circle = 2 * np.stack((np.cos(angle), np.sin(angle)), -1)
+    canvas = Canvas(fit_view(circle, rows=20, columns=60))
+    canvas.dots(circle)
+    drawn = np.array([[glyph != " " for glyph in line.plain] for line in canvas.lines()])
+    assert np.ptp(np.flatnonzero(drawn.any(0))) == pytest.approx(2 * np.ptp(np.flatnonzero(drawn.any(1))), abs=2)
+
+
+def test_robot_goal_and_people_stand_where_the_record_says():
+    path = walk()
+    path[:, 0, 0] = np.linspace(-3.0, 3.0, len(path))
+    frames = make_frames(record_of(path, goal=(3.0, 4.0)), ascii_only=True)
+    goal = find("*", frames[0])
+    height = 8.0 / (find("@", frames[0]) - goal)[0]  # m a row: the robot starts 8 m below its goal
+    assert 0.3 < height < 0.5
+    for moment, frame in enumerate(frames[:-1]):
+        for glyph, place in (("@", path[moment, 0]), ("1", path[moment, 1]), ("2", path[moment, 2])):
+            expected = goal + np.array([4.0 - place[1], 2 * (place[0] - 3.0)]) / height
+            assert np.abs(find(glyph, frame) - expected).max() <= 1.01
+
+
+def test_headings_are_drawn_next_to_those_who_move():
+    path = walk(others=((2.0, 0.0), (-2.0, 0.0), (2.0, 2.0)))
+    path[:, 1, 0] += 0.2 * np.arange(9)  # person 1 to the right
+    path[:, 2, 0] -= 0.2 * np.arange(9)  # person 2 to the left, person 3 stands
+    picture = make_frames(record_of(path))[4].plain
+    assert "1→" in picture
+    assert "←2" in picture
+    assert not any(f"3{arrow}" in picture or f"{arrow}3" in picture for arrow in "→↗↑↖←↙↓↘")
+    robot, above = find("@", make_frames(record_of(path))[4]), find("↑", make_frames(record_of(path))[4])
+    assert tuple(robot - above) == (1, 0)
+
+
+def test_touching_squares_join():
+    row = [(x, 1.0) for x in (-0.6, 0.0, 0.6)]
+    record = record_of(walk(others=row), square=np.array([False, True, True, True]))
+    for width, height in ((80, 24), (120, 40)):
+        lines = make_frames(record, width=width, height=height, ascii_only=True)[0].plain.split("\n")
+        line = next(line for line in lines if "1" in line and "2" in line and "3" in line)
+        wall = line[line.index("1") : line.index("3") + 1]
+        assert set(wall) == set("123#")
+        columns = np.diff([lines[0].index("-"), lines[0].rindex("+")])[0]
+        assert columns > 40
+
+
+def test_many_few_and_absent_elements():
+    angle = np.arange(25) * 0.25
+    many = make_frames(record_of(walk(others=3 * np.stack((np.cos(angle), np.sin(angle)), -1))))
+    assert all(name in many[0].plain for name in "123456789abcdefghijklmnop")
+    alone = make_frames(record_of(walk(others=())), policy=Eyes())
+    assert "nobody" in alone[0].plain
+    absent = make_frames(record_of(walk(others=((np.nan, np.nan), (1.0, 1.0)))), policy=Eyes(0.0, 1.0))
+    assert "■1" not in absent[3].plain
+    assert " 2 █" in absent[3].plain
+
+
+def test_a_robot_that_goes_far_stays_in_the_picture():
+    path = walk()
+    path[:, 0] *= 7.0
+    for frame in make_frames(record_of(path, outcome=TIMEOUT)):
+        assert find("@", frame).min() >= 0
+        assert_fits(frame.plain, 80, 24)
+
+
+def test_attention_is_listed_from_most_to_least():
+    others = ((2.0, 0.0), (-2.0, 1.0), (1.0, 3.0))
+    square = np.array([False, False, False, True])
+    frame = make_frames(record_of(walk(others=others), square=square), policy=Eyes(0.2, 0.5, 0.3))[4]
+    lines = [line[47:] for line in frame.plain.split("\n")]
+    rows = [line for line in lines if "%" in line]
+    assert [row.split()[0] for row in rows] == ["2", "■3", "1"]
+    assert [row.split()[-3] for row in rows] == ["50%", "30%", "20%"]
+    bars = [row.count("█") for row in rows]
+    assert bars == sorted(bars, reverse=True)
+    assert bars[0] > 2 * bars[2]
+    gaps = [np.hypot(2.0, 1.0) - 0.6, np.hypot(1.0, 3.0) - 0.6, 2.0 - 0.6]  # the robot is at (0, 0)
+    assert [float(row.split()[-2]) for row in rows] == pytest.approx(gaps, abs=0.006)
+
+
+def test_without_a_network_there_is_no_attention():
+    plain = make_frames(record_of(walk()), label="orca")[2].plain
+    assert "attention" not in plain
+    assert "actions" not in plain
+    assert "nearest" in plain
+
+
+def test_narrow_or_low_frames_have_no_panel():
+    for width, height in ((59, 24), (80, 15)):
+        assert "repulsion" not in make_frames(record_of(walk()), width=width, height=height)[2].plain
+    assert "repulsion" in make_frames(record_of(walk()), width=60, height=16)[2].plain
+
+
+def test_repulsion_and_what_contributes_most():
+    plain = make_frames(record_of(walk(others=((1.0, 0.0), (-2.0, 0.0)))))[4].plain  # the robot is at (0, 0)
+    assert f"← {np.exp(-1.0) - np.exp(-2.0):.2f} m/s², mostly 1" in plain
+
+
+def test_actions_are_a_disc_dense_where_values_are_high():
+    taken = 1 + 4 * 5 + 4  # heading 90 degrees, the highest speed
+    disc = [line.plain for line in action_disc(ACTIONS, ACTIONS[:, 0], taken, rows=7)]
+    assert disc[0][1:].index("o") == 6  # at the rim, above the middle
+    assert "".join(disc).count("o") == 1
+    middle = disc[3][1:]
+    assert len(middle) == 13
+    assert [SHADES.index(glyph) for glyph in middle] == sorted(SHADES.index(glyph) for glyph in middle)
+    assert middle[0] == SHADES[0]
+    assert middle[-1] == SHADES[-1]
+
+
+def test_values_of_the_actions_and_of_the_next_one():
+    path = walk()
+    path[4:, 0] = path[3, 0] + (0.25, 0.0)  # step 3 goes along x, the others do not; values are speeds along x
+    frames = make_frames(record_of(path), policy=Eyes(0.5, 0.5))
+    assert "value of the 81 actions" in frames[3].plain
+    assert "best   1.000" in frames[3].plain
+    assert "stay   0.000" in frames[3].plain
+    assert "worst  -1.000" in frames[3].plain
+    assert ["next   1.000" in frame.plain for frame in frames[1:6]] == [False, False, True, False, False]
+    assert "next" not in frames[-1].plain
+
+
+def test_a_sarl_episode_is_told_with_its_reward(played):
+    record, policy = played
+    frames = make_frames(record, policy=policy)
+    assert {len(frame.plain.split("\n")) for frame in frames} == {24}
+    assert f"{record.reward[0, 4]:+.4f}".replace("-0.0000", "+0.0000") in frames[5].plain
+    for word in ("attention", "value of the 81 actions", "reward of the step", "velocity", "distance"):
+        assert word in frames[5].plain
+    total = frames[-1].plain.split("return so far")[1].split()[0]
+    assert float(total) == pytest.approx(record.discounted_return[0], abs=1e-4)
+
+
+def test_too_close_is_marked_and_told():
+    separations = np.full((8, 2), np.inf)
+    separations[2:5, 1] = 0.15, 0.12, 0.18
+    record = record_of(walk(), separations=separations)
+    frames = make_frames(record)
+    assert "too close" not in frames[0].plain
+    assert "too close to nobody" in frames[2].plain
+    assert "too close 0.75 s (person 2, 0.15 m)" in frames[3].plain
+    assert "too close 0.75 to 1.00 s (person 2, 0.12 m)" in frames[4].plain
+    assert "too close 0.75 to 1.25 s (person 2, 0.12 m)" in frames[7].plain
+    assert frames[8].plain.endswith("too close for 0.75 s")
+    timelines = [frame.plain.split("\n")[-2] for frame in frames]
+    assert len({len(line) for line in timelines}) == 1
+    marks = [place for place, glyph in enumerate(timelines[0]) if glyph == "!"]  # 0.75 to 1.25 s, of 25
+    assert marks == [7, 8]  # 5 columns of "0 s", then 2.7 columns a second
+    picky = make_frames(record, reward=Reward(discomfort_distance=0.13))
+    assert "too close 1.00 s (person 2, 0.12 m)" in picky[7].plain
+
+
+def test_the_timeline_moves_on():
+    lines = [frame.plain.split("\n")[-2] for frame in make_frames(record_of(walk(steps=60)))]
+    now = [line.index("●") for line in lines[:-1]]
+    assert now == sorted(now)
+    assert now[0] < 6
+    assert now[40] == pytest.approx(5 + 67 * 10 / 25, abs=3)
+    assert all("★" in line and line.endswith("25 s") for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("outcome", "gaps", "words"),
+    [
+        (SUCCESS, (1.0, 1.0), ["goal reached after 2.00 s", "never too close"]),
+        (TIMEOUT, (1.0, 1.0), ["time is up at 2.00 s, 0.00 m from the goal"]),
+        (COLLISION, (-0.1, 1.0), ["collision at 2.00 s: hit person 1;"]),
+        (COLLISION, (1.0, -0.1), ["collision at 2.00 s: hit square 2;"]),
+        (COLLISION, (-0.2, -0.1), ["hit person 1 and square 2"]),
+    ],
+)
+def test_the_last_frame_says_how_it_ended(outcome, gaps, words):
+    separations = np.full((8, 2), np.inf)
+    separations[-1] = gaps
+    record = record_of(walk(), outcome=outcome, separations=separations, square=np.array([False, False, True]))
+    for ascii_only in (False, True):
+        frames = make_frames(record, ascii_only=ascii_only)
+        for word in words:
+            assert word in frames[-1].plain
+            assert word not in frames[-2].plain
+        mark = {SUCCESS: "*" if ascii_only else "★", COLLISION: "X", TIMEOUT: "T"}[outcome]
+        assert mark in frames[-1].plain.split("\n")[-2]
+
+
+def test_strip_is_evenly_spaced_with_both_ends():
+    frames = make_frames(record_of(walk(steps=12)))
+    assert [frame.time for frame in strip(frames, 4)] == [0.0, 1.0, 2.0, 3.0]
+    assert [frame.time for frame in strip(frames, 1)] == [3.0]
+    assert strip(frames, 0) == []
+    assert strip(frames, 99) == frames
+    for count in range(2, 14):
+        times = [frame.time for frame in strip(frames, count)]
+        assert len(times) == count
+        assert times == sorted(set(times))
+        assert (times[0], times[-1]) == (0.0, 3.0)
+
+
+coordinates = st.one_of(st.floats(-6, 6), st.floats(-500, 500), st.just(np.nan))
+
+
+@given(st.data())
+def test_any_positions_fit_and_show_the_robot(data):
+    steps, others = data.draw(st.integers(1, 3)), data.draw(st.integers(0, 12))
+    width, height = data.draw(st.integers(1, 130)), data.draw(st.integers(1, 45))
+    flat = data.draw(st.lists(coordinates, min_size=2 * (others + 1), max_size=2 * (others + 1)))
+    path = np.tile(np.array(flat).reshape(1, -1, 2), (steps + 1, 1, 1))
+    path[:, np.isnan(path[0]).any(-1)] = np.nan
+    path[:, 0] = np.nan_to_num(path[:, 0])
+    path[:, 0, 0] += data.draw(st.floats(-3, 3)) * np.arange(steps + 1)
+    squares = np.arange(others + 1) > data.draw(st.integers(0, others))
+    outcome = data.draw(st.sampled_from([SUCCESS, COLLISION, TIMEOUT]))
+    ascii_only, eyes = data.draw(st.booleans()), data.draw(st.booleans())
+    for frame in make_frames(
+        record_of(path, outcome=outcome, square=squares),
+        policy=Eyes(*np.full(others, 1 / max(others, 1))) if eyes else None,
+        width=width,
+        height=height,
+        ascii_only=ascii_only,
+    ):
+        assert_fits(frame.plain, width, height)
+        assert "@" in frame.plain
+        assert frame.plain.isascii() or not ascii_only
+
+
+@pytest.mark.parametrize("environment", ["1", "2", "3", "4", "5", "circle"])
+def test_scene_pictures(environment):
+    scenes = sample_scenes(environment, 2)
+    for width, height in SIZES[:4]:
+        plain = scene_picture(scenes, 1, width=width, height=height, ascii_only=True).plain
+        assert_fits(plain, width, height)
+        assert plain.isascii()
+    plain = scene_picture(scenes, 1).plain
+    assert "@" in plain
+    assert "★" in plain
+    drawn = "".join(plain.split("\n")[1:-2])
+    for row in np.flatnonzero(np.isfinite(scenes.start[1, :, 0]))[1:]:
+        assert "123456789abcdef"[row - 1] in drawn
+    assert ("█" in drawn) == scenes.square[1].any()
+    assert ("x" in drawn) == (environment != "5")
+
+
+def test_keys_pause_step_and_change_the_speed():
+    player = Player(last=10).step(3)
+    assert (player.moment, player.playing) == (3, True)
+    assert not player.press(" ").playing
+    assert player.press(" ").press(" ").playing
+    assert (player.press(",").moment, player.press(".").moment) == (2, 4)
+    assert (player.press("\x1b[D").moment, player.press("\x1b[C").moment) == (2, 4)
+    assert not player.press(".").playing
+    assert (player.press("+").speed, player.press("-").speed) == (2.0, 0.5)
+    assert player.press("?") == player
+    assert player.press("q") is None
+    assert Player(last=10).press(",").moment == 0
+    end = player.step(99)
+    assert (end.moment, end.playing) == (10, False)
+    assert (end.press(" ").moment, end.press(" ").playing) == (0, True)
+
+
+@pytest.fixture
+def keyboard(monkeypatch):
+    """Standard input as a terminal: a function that types, one that tells the terminal's settings."""
+    pty, termios = pytest.importorskip("pty"), pytest.importorskip("termios")
+    ours, theirs = pty.openpty()
+    with os.fdopen(theirs) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        yield lambda keys: os.write(ours, keys), lambda: termios.tcgetattr(theirs)
+    os.close(ours)
+
+
+def screen():
+    return Console(
+        file=io.StringIO(), force_terminal=True, width=80, height=25, color_system=None, legacy_windows=False
+    )
+
+
+def test_live_shows_every_frame_and_leaves_the_last(monkeypatch):
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    console, frames = screen(), make_frames(record_of(walk()))
+    play_live(frames, console, speed=50.0)
+    shown = console.file.getvalue()
+    assert all(f"t {frame.time:5.2f} s" in shown for frame in frames)
+    assert "q quit" not in shown
+    assert "goal reached after 2.00 s" in shown.rstrip().split("\n")[-2]
+    assert "\x1b[?25h" in shown[-20:]  # the cursor is back
+
+
+class Watched:
+    """A frame that does something before it shows itself."""
+
+    def __init__(self, frame, act):
+        self.frame, self.act = frame, act
+
+    @property
+    def text(self):
+        self.act()
+        return self.frame.text
+
+
+def test_live_obeys_keys_and_puts_the_terminal_back(keyboard):
+    type_keys, terminal = keyboard
+    before, console, frames, seen = terminal(), screen(), make_frames(record_of(walk())), []
+    keys = [b" ", b".", b"\x1b[C", b",", b"++", b"-", b"q"]  # pause, two on, one back, faster, slower, quit
+
+    def look(moment):
+        seen.append(moment)
+        assert terminal() != before  # single keys, no echo
+        if keys:
+            type_keys(keys.pop(0))
+
+    play_live([Watched(f, lambda moment=k: look(moment)) for k, f in enumerate(frames)], console, speed=0.01)
+    assert seen == [0, 0, 1, 2, 1, 1, 1]
+    shown = console.file.getvalue()
+    assert "q quit" in shown
+    assert "paused   x0.04" in shown
+    assert "paused   x0.02" in shown
+    assert "q quit" not in shown.split("\n")[-2]
+    assert terminal() == before
+
+
+def test_live_puts_the_terminal_back_when_interrupted(keyboard):
+    _, terminal = keyboard
+    before, console, frames = terminal(), screen(), make_frames(record_of(walk()))
+
+    def interrupt():
+        assert terminal() != before
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        play_live([*frames[:2], Watched(frames[2], interrupt)], console, speed=100.0)
+    assert terminal() == before
+    assert "\x1b[?25h" in console.file.getvalue()[-20:]
+
+
+def test_live_writes_the_last_frame_where_there_is_no_terminal():
+    frames = make_frames(record_of(walk()))
+    console = Console(file=io.StringIO(), width=80)
+    play_live(frames, console)
+    assert [line.rstrip() for line in console.file.getvalue().rstrip().split("\n")] == frames[-1].plain.split("\n")
