@@ -172,11 +172,17 @@ class Config:
     @staticmethod
     def from_json(text: str) -> "Config":
         """The config that `to_json` wrote; raises ConfigError on unknown keys and bad values."""
-        return override(Config(), json.loads(text))
+        try:
+            changes = json.loads(text)
+        except (TypeError, ValueError):
+            raise ConfigError("it is not JSON") from None
+        return override(Config(), changes)
 
 
 def override(config: Any, changes: Mapping[str, Any]) -> Any:
     """A copy of a config dataclass with `changes`, which may nest as the config does; unknown keys are errors."""
+    if not isinstance(changes, Mapping):
+        raise ConfigError(f"{type(config).__name__.lower()} is {changes!r}; it takes settings by name")
     values = {}
     known = [item.name for item in fields(config)]
     for name, value in changes.items():

@@ -34,14 +34,22 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], None], *, checked: 
             file.seek(0)
             digest = hashlib.file_digest(file, "sha256").hexdigest()
         if checked:
-            sums = read_sums(path.parent) | {path.name: digest}
-            text = "".join(f"{value}  {name}\n" for name, value in sorted(sums.items())).encode()
-            write_atomically(path.with_name(SUMS), lambda file: file.write(text), checked=False)
+            _write_sums(path.parent, read_sums(path.parent) | {path.name: digest})
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
     _sync_folder(path.parent)
     return digest
+
+
+def remove_checked(paths: list[Path]) -> None:
+    """Remove files of one folder, and their digests."""
+    for path in paths:
+        path.unlink(missing_ok=True)
+    if paths:
+        gone = {path.name for path in paths}
+        sums = read_sums(paths[0].parent)
+        _write_sums(paths[0].parent, {name: digest for name, digest in sums.items() if name not in gone})
 
 
 def read_checked(path: Path) -> bytes:
@@ -57,13 +65,21 @@ def read_checked(path: Path) -> bytes:
 
 
 def read_sums(folder: Path) -> dict[str, str]:
-    """Digests by file name from a folder's SHA256SUMS; empty where there is none."""
+    """Digests by file name from a folder's SHA256SUMS; empty where there is none. Raises DamagedFile."""
+    path = Path(folder) / SUMS
     try:
-        lines = (Path(folder) / SUMS).read_text().splitlines()
+        lines = path.read_text().splitlines()
     except FileNotFoundError:
         return {}
+    except UnicodeDecodeError:
+        raise DamagedFile(f"{path} is damaged: it is not text") from None
     pairs = [line.split("  ", 1) for line in lines]
     return {pair[1]: pair[0] for pair in pairs if len(pair) == 2}
+
+
+def _write_sums(folder: Path, sums: dict[str, str]) -> None:
+    text = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items())).encode()
+    write_atomically(folder / SUMS, lambda file: file.write(text), checked=False)
 
 
 def _sync_folder(folder: Path) -> None:

@@ -19,6 +19,12 @@ from sfmrl.states import OWN, column_names
 
 MLP1, MLP2, ATTENTION, MLP3 = (150, 100), (100, 50), (100, 100, 1), (150, 100, 100, 1)
 
+PER_METRE, AT_GOAL, PRIOR = (
+    0.9,
+    0.3,
+    0.8,
+)  # of `value_prior`: fall-off, distance at which the goal counts as reached (m)
+
 
 class ValueNetwork(nn.Module):
     """The value of robot-centred states: (B, K, F) -> (B,), F = 13 or, with `forces`, 17.
@@ -41,21 +47,24 @@ class ValueNetwork(nn.Module):
 
     def forward(self, states: Tensor) -> Tensor:
         """Values (B,) of states (B, K, F)."""
-        return self.value_and_attention(states)[0]
+        value = self._output_and_attention(states)[0]
+        if self.value_prior:
+            value = PER_METRE ** (states[:, 0, 0] - AT_GOAL).clamp(min=0.0) * (PRIOR + value)
+        return value
 
-    def value_and_attention(self, states: Tensor) -> tuple[Tensor, Tensor]:
-        """Values (B,), and the share of attention each element gets (B, K), 0 for absent ones."""
+    def _output_and_attention(self, states: Tensor) -> tuple[Tensor, Tensor]:
+        """The last layer's output (B,), and the share of attention each element gets (B, K), 0 for absent ones."""
         batch, elements, width = states.shape
         own = states[:, 0, : self.own] if elements else states.new_zeros(batch, self.own)
         absent = torch.isnan(states[..., self.own])  # (B, K)
-        all_here = not bool(absent.any())
+        all_here = elements > 0 and not bool(absent.any())
         if not all_here:
             states = torch.where(absent[..., None], 0.0, states)
         hidden = relu(self.mlp1[0](states.reshape(-1, width)), inplace=True)
         hidden = relu(self.mlp1[2](hidden), inplace=True)  # (B K, 100)
-        feature = self.mlp2[2](relu(self.mlp2[0](hidden), inplace=True)).view(batch, elements, -1)  # (B, K, 50)
+        feature = relu(self.mlp2[0](hidden), inplace=True).view(batch, elements, MLP2[0])  # (B, K, 100)
 
-        per_element = hidden.view(batch, elements, -1)
+        per_element = hidden.view(batch, elements, MLP1[-1])
         if all_here:
             mean = per_element.mean(1)  # (B, 100)
         else:
@@ -64,35 +73,40 @@ class ValueNetwork(nn.Module):
         # The first attention layer reads [element, mean]: the mean's half is the same for all elements of a state.
         first = self.attention[0]
         for_element, for_mean = first.weight.split(MLP1[-1], dim=1)
-        score = linear(hidden, for_element).view(batch, elements, -1)
+        score = linear(hidden, for_element).view(batch, elements, ATTENTION[0])
         score = relu(score + linear(mean, for_mean, first.bias)[:, None], inplace=True)  # (B, K, 100)
         score = self.attention[4](relu(self.attention[2](score), inplace=True))[..., 0]  # (B, K)
         if all_here:
-            share = score.softmax(1) if elements else score
+            share = score.softmax(1)
         else:
             share = score.masked_fill(absent, -torch.inf).softmax(1).nan_to_num()  # nobody there at all: zeros
-        pooled = (share[:, None] @ feature)[:, 0]  # (B, 50)
+        # mlp2's last layer is linear, so it may follow the weighted sum: once a state instead of once an element.
+        pooled = linear((share[:, None] @ feature)[:, 0], self.mlp2[2].weight)
+        pooled = pooled + share.sum(1, keepdim=True) * self.mlp2[2].bias  # (B, 50)
 
-        value = self.mlp3(torch.cat((own, pooled), 1))[:, 0]
-        if self.value_prior:
-            value = 0.9 ** (own[:, 0] - 0.3).clamp(min=0.0) * (0.8 + value)
-        return value, share
+        return self.mlp3(torch.cat((own, pooled), 1))[:, 0], share
 
     @torch.inference_mode()
     def evaluate(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`value_and_attention` from array to arrays, without gradients.
+        """Values (B,) and shares of attention (B, K) of states (B, K, F), from array to arrays, without gradients.
 
-        The batch is filled up to a multiple of four states, at least eight: a state's numbers then do not depend on
-        how many others share the batch (matrix products treat a remainder of rows, or very few, in another way).
+        A state's numbers do not depend on what shares its batch. For that the batch is filled up to a multiple of four
+        states, at least eight, since matrix products treat a remainder of rows, or very few, in another way; and the
+        power is NumPy's, since torch's has other bits in a remainder.
         """
         device = self.mlp1[0].weight.device
         count = len(states)
         if count < 8 or count % 4:
             filled = np.zeros((max(count + -count % 4, 8), *states.shape[1:]), dtype=np.float32)
             filled[:count] = states
-            states = filled
-        value, share = self.value_and_attention(torch.from_numpy(states).to(device))
-        return value[:count].cpu().numpy(), share[:count].cpu().numpy()
+        else:
+            filled = states
+        output, share = self._output_and_attention(torch.from_numpy(filled).to(device))
+        value, share = output[:count].cpu().numpy(), share[:count].cpu().numpy()
+        if self.value_prior:
+            beyond = np.maximum(states[:, 0, 0] - np.float32(AT_GOAL), np.float32(0))
+            value = np.float32(PER_METRE) ** beyond * (np.float32(PRIOR) + value)
+        return value, share
 
 
 def _mlp(width: int, sizes: tuple[int, ...], generator: torch.Generator, last_relu: bool = False) -> nn.Sequential:
@@ -114,6 +128,8 @@ def network_from(state_dict: dict[str, Tensor], source: str, value_prior: bool =
 
     Raises ConfigError, naming `source`, where they are not a SARL network's.
     """
+    if not isinstance(state_dict, dict):
+        raise ConfigError(f"{source} does not hold a SARL network but a {type(state_dict).__name__}")
     for forces in (False, True):
         network = ValueNetwork(forces, value_prior)
         wanted = {name: value.shape for name, value in network.state_dict().items()}
@@ -144,9 +160,10 @@ def load_weights(path: Path) -> tuple[ValueNetwork, Config]:
     except Exception as error:  # torch's reader raises whatever the bytes lead it to
         raise ConfigError(f"{path} is not a weights file that torch can load safely") from error
     if isinstance(content, dict) and {"weights", "config"} <= set(content):
-        config = Config.from_json(content["config"])
+        try:
+            config = Config.from_json(content["config"])
+        except ConfigError as error:
+            raise ConfigError(f"the config in {path} cannot be used: {error}") from error
         return network_from(content["weights"], str(path), config.value_prior), config
-    if not isinstance(content, dict):
-        raise ConfigError(f"{path} does not hold a SARL network but a {type(content).__name__}")
     network = network_from(content, str(path))
     return network, Config(preset="paper", forces=network.forces)

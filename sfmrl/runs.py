@@ -26,7 +26,7 @@ import torch
 
 from sfmrl import __version__
 from sfmrl.config import Config, ConfigError, variant_name
-from sfmrl.files import DamagedFile, csv_text, read_checked, write_atomically
+from sfmrl.files import DamagedFile, csv_text, read_checked, remove_checked, write_atomically
 from sfmrl.policies import WEIGHTS
 
 RUNS = Path("runs")
@@ -51,8 +51,7 @@ class Run:
         """Keep all that resuming needs, under the next number; older checkpoints but one are removed."""
         number = 1 + max((int(path.stem.rpartition("-")[2]) for path in self.checkpoints()), default=0)
         write_atomically(self.folder / f"checkpoint-{number:06d}.pt", lambda file: torch.save(state, file))
-        for old in self.checkpoints()[:-KEEP]:
-            old.unlink(missing_ok=True)
+        remove_checked(self.checkpoints()[:-KEEP])
 
     def checkpoints(self) -> list[Path]:
         """The checkpoint files, oldest first."""

@@ -45,8 +45,13 @@ def robot_states(
     """Robot-centred states (..., K, F) as float32, F = 13 or 17; the leading axes (...) of all inputs broadcast.
 
     The robot's `position`, `velocity`, `goal` (..., 2), `radius`, `v_pref` (...); its elements' `element_position`,
-    `element_velocity` (..., K, 2), `element_radius` (..., K); metres and m/s. Absent elements are NaN in, NaN out.
+    `element_velocity` (..., K, 2), `element_radius` (..., K); metres and m/s. Absent elements are NaN in, NaN out. With
+    nobody around (K = 0) there is one absent element, since the robot's own columns need a row to stand in.
     """
+    if not element_radius.shape[-1]:
+        nobody = np.full((*element_radius.shape[:-1], 1), np.nan)
+        element_position = element_velocity = np.stack((nobody, nobody), axis=-1)
+        element_radius = nobody
     to_goal = goal - position
     x, y = to_goal[..., 0], to_goal[..., 1]
     goal_distance = np.sqrt(x * x + y * y)
