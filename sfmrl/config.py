@@ -7,6 +7,7 @@ those of CrowdNav/SARL (Chen et al., 2019); `PRESETS` and `VARIANTS` are overrid
 
 import difflib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from typing import Any
@@ -80,6 +81,11 @@ class Simulation(_Checked):
     max_neighbors: int = knob(10, "ORCA: only so many nearest agents count (CRI)", least=0)
     time_horizon: float = knob(5.0, "ORCA: looks so far ahead for agents, s (CRI)", least=1e-3)
     obstacle_time_horizon: float = knob(5.0, "ORCA: looks so far ahead for polygons, s (CRI)", least=1e-3)
+
+    @property
+    def longest(self) -> int:
+        """Steps of the longest episode: the first to start 1 s before the time limit, or later, is the last (CRI)."""
+        return math.ceil((self.time_limit - 1.0) / self.time_step - 1e-9) + 1
 
 
 @dataclass(frozen=True)
@@ -216,7 +222,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "schedule": "one-cycle",
         },
         "reinforcement": {
-            "episodes": 2000,
+            "episodes": 3000,
             "parallel": 32,
             "overlap": True,
             "batches": 6,

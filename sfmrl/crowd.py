@@ -135,7 +135,7 @@ def transition(world: World, action: np.ndarray) -> Transition:
     goal_distance = length(robot + action * simulation.time_step - goal)
     hit = separations.min(axis=-1, initial=np.inf) < 0
     there = goal_distance < world.radius[:, 0][many]
-    late = (world.time >= simulation.time_limit - 1.0)[many]
+    late = (world.steps >= simulation.longest - 1)[many]
     outcome = np.where(late, TIMEOUT, np.where(hit, COLLISION, np.where(there, SUCCESS, RUNNING)))
     return Transition(
         time=np.broadcast_to((world.time + simulation.time_step)[many], outcome.shape),

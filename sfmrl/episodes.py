@@ -115,7 +115,7 @@ def play_episodes(
     terms = reward_terms(reward)
     whole = reset(scenes, simulation)
     count, rows = whole.position.shape[:2]
-    longest = longest_episode(simulation)
+    longest = simulation.longest
     position = np.full((count, longest + 1, rows, 2), np.nan)
     velocity = np.full((count, longest + 1, rows, 2), np.nan)
     position[:, 0], velocity[:, 0] = whole.position, whole.velocity
@@ -148,11 +148,6 @@ def play_episodes(
     first = returns_of(rewards, step_discount(discount, scenes.v_pref[:, 0], simulation))[:, :1].sum(1)
     position, velocity = position[:, : steps_taken + 1], velocity[:, : steps_taken + 1]
     return Record(scenes, simulation, steps, position, velocity, kept, rewards, first)
-
-
-def longest_episode(simulation: Simulation) -> int:
-    """How many steps an episode can have: the first that starts 1 s before the time limit is the last."""
-    return int(np.ceil((simulation.time_limit - 1.0) / simulation.time_step - 1e-9)) + 1
 
 
 def rewards_of(transition: Transition, steps: np.ndarray, terms: Callable[[Transition], Terms]) -> np.ndarray:

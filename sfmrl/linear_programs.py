@@ -5,9 +5,9 @@ Each program has M half-planes and a disc of radius `max_speed`. A half-plane is
 (4, M, Q): point x, point y, direction x, direction y, then half-plane, then program; a half-plane of zeros constrains
 nothing.
 
-The paper adds one half-plane after the other. Here every program takes the same three steps instead:
-1. the best velocity of the disc: most often it is permitted;
-2. the best velocity of the disc on the line that it violates most: most often that one is permitted;
+The paper adds one half-plane after the other. Here all programs take the same three steps instead:
+1. the best velocity of the disc; if some half-plane forbids it,
+2. the best velocity of the disc on the line that it violates most; if some half-plane forbids that one,
 3. the best permitted velocity on each line violated by it. One of them is the optimum, for the way from the optimum to
    any velocity that is best under fewer constraints leads out of one of the half-planes that hold the optimum.
 
@@ -22,6 +22,7 @@ Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, sect
 import numpy as np
 
 INFINITY = np.float32(np.inf)
+OUT_OF_REACH = np.float32(1e6)  # m/s
 HUGE, TINY, TINIER = np.float32(1e38), np.float32(1e-20), np.float32(1e-30)
 
 
@@ -75,9 +76,9 @@ def least_violations(half_planes, n_hard, max_speed, velocity):
 
 
 def one_by_one(half_planes, max_speed, preferred):
-    """Return the velocities (2, Q) nearest to the preferred ones within the first half-planes, up to one that none fits.
+    """Return the velocities (2, Q) nearest to the preferred ones within the first half-planes, until no velocity fits.
 
-    Shapes and units as in `nearest_velocities`.
+    For half-planes that have nothing but rounding errors in common. Shapes and units as in `nearest_velocities`.
     """
     velocity = limit_speed(preferred, max_speed)
     program = np.arange(len(max_speed))
@@ -134,7 +135,7 @@ def _optima(half_planes, max_speed, velocity, wish, cost):
     """
     feasible = np.ones(len(max_speed), bool)
     excess = violations(half_planes, velocity)
-    most = excess.max(axis=0)
+    most = excess.max(axis=0, initial=0)
     most[most <= 0] = np.nan
     line, program = _lines_where(excess == most, half_planes)
     left, right = _chord(line, max_speed[program])
@@ -197,14 +198,15 @@ def _interval(line, others, max_speed):
 
 
 def _bisectors(half_planes, n_hard, line):
-    """Return the half-planes (4, M, K) where each line (4, K) is the most violated soft one, and if there may be any (K,).
+    """Return the half-planes (4, M, K) where each line (4, K) is the most violated soft one, and whether any may (K,).
 
-    half_planes (4, M, K) are all those of the line's program; the hard ones stay as they are.
+    half_planes (4, M, K), all those of the line's program, are overwritten; the hard ones stay as they are.
     """
     point_x, point_y, along_x, along_y = half_planes[:, n_hard:]
     more = along_x * point_y - along_y * point_x - (line[2] * line[1] - line[3] * line[0])
     turn_x, turn_y = along_x - line[2], along_y - line[3]
     squared = turn_x * turn_x + turn_y * turn_y
+    more -= OUT_OF_REACH * ((along_x == 0) & (along_y == 0))  # half-planes of zeros
     # Of two lines in the same direction, one is violated more everywhere.
     possible = ~((squared == 0) & (more > 0)).any(axis=0)
     scale = 1 / np.sqrt(squared + TINIER)

@@ -8,26 +8,37 @@ side of every line (`linear_programs.py`).
 Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, sections 4 and 5, and where the paper leaves
 details open, the behaviour of the authors' RVO2 library. Left out: a search tree for neighbours.
 
-Everything is computed in float32 by component, with the neighbour as the first axis, so that each operation runs
-through one long row, and linear programs run only for agents whose preferred velocity is not permitted. All operations
-are elementwise, minima or maxima: an episode's result does not depend on the batch.
+Everything is computed in float32 by component, with the neighbour as the first axis (M, C, E), so that each operation
+runs through one long row, and linear programs run only for agents whose preferred velocity is not permitted. Nothing is
+summed over an axis: an episode's result has the same bits whatever the batch.
 """
 
 import numpy as np
 
-from sfmrl.linear_programs import bits, choose, least_violations, limit_speed, nearest_velocities, one_by_one, violations
-from sfmrl.orca_polygons import Edges, edge_half_planes, polygon_edges, uncovered
+from sfmrl.linear_programs import (
+    INFINITY,
+    bits,
+    choose,
+    least_violations,
+    limit_speed,
+    nearest_velocities,
+    one_by_one,
+    violations,
+)
+from sfmrl.orca_polygons import edge_half_planes, uncovered
+from sfmrl.polygons import FIELDS, Edges, polygon_edges
 
 __all__ = ["Edges", "orca_velocities", "polygon_edges"]
 
+BLOCK = 32768  # pairs at a time: a few such rows stay in the processor's cache
+LAST = 0x7FFFFFFF  # more than the bits of any float
 HALF = np.float32(0.5)
-BLOCK = 32768  # pairs of agents (or agents and edges) at a time: a few such rows stay in the processor's cache
 
 
 def _keep_freed_memory():
-    """Make glibc keep up to 32 MB of freed memory for the next call, instead of giving it back after each.
+    """Make glibc keep up to 32 MB of freed memory for the next step, instead of giving it back after each.
 
-    It keeps twice the size of the largest block that was ever freed; elsewhere this does nothing.
+    It keeps twice the size of the largest block that was ever freed; with other allocators, this does nothing.
     """
     np.empty(1 << 24, np.uint8)
 
@@ -55,107 +66,63 @@ def orca_velocities(
     position (m), velocity and preferred_velocity (m/s) are (E, N, 2), radius (m) and max_speed (m/s) broadcast to
     (E, N). An agent whose position is NaN is absent: it gets NaN and influences nobody. `polygons` (E, P, V, 2) in m or
     their `polygon_edges` stand still. `agents` (E, N) are those to compute, all by default; the others get NaN but are
-    avoided. time_step and horizons are in s, neighbor_distance in m. Raises ValueError for wrong shapes.
+    avoided. time_step and horizons are in s, neighbor_distance in m. Raises ValueError for wrong shapes and polygons.
     Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011.
     """
     position = np.asarray(position)
     if position.ndim != 3 or position.shape[2] != 2:
         raise ValueError(f"position must have shape (E, N, 2), not {position.shape}")
-    episodes, rows = position.shape[:2]
+    episodes, rows = shape = position.shape[:2]
     planes = np.empty((8, rows, episodes), np.float32)
     planes[0:2] = position.T
     planes[2:4] = _checked("velocity", velocity, position.shape).T
-    planes[4] = _broadcast("radius", radius, (episodes, rows)).T
-    planes[5] = _broadcast("max_speed", max_speed, (episodes, rows)).T
+    planes[4] = _broadcast("radius", radius, shape).T
+    planes[5] = _broadcast("max_speed", max_speed, shape).T
     planes[6:8] = _checked("preferred_velocity", preferred_velocity, position.shape).T
-    edges = polygons
-    if edges is None:
-        edges = Edges(np.empty((12, 0, episodes), np.float32))
-    elif not isinstance(edges, Edges):
-        edges = polygon_edges(edges)
-    if len(edges) != episodes:
-        raise ValueError(f"polygons must be those of {episodes} episodes, not of {len(edges)}")
-
-    present = ~np.isnan(planes[0])
-    wanted = present
+    edges = _edge_values(polygons, episodes)
+    wanted = present = ~np.isnan(planes[0])
     if agents is not None:
-        wanted = present & _checked("agents", agents, (episodes, rows)).astype(bool).T
-    result = np.full((episodes, rows, 2), np.nan)
-    others = np.flatnonzero(present.any(axis=1))
-    own = np.flatnonzero(wanted.any(axis=1))
+        wanted = present & _checked("agents", agents, shape).astype(bool).T
+    others, own = np.flatnonzero(present.any(axis=1)), np.flatnonzero(wanted.any(axis=1))
+
+    velocities = np.full((episodes, rows, 2), np.nan)
+    pairs = max(1, edges.shape[1], min(max_neighbors, len(others)))  # of each agent
+    size = max(1, BLOCK // (pairs * max(1, len(own))))
+    columns = max(1, BLOCK // (pairs * size))
     with np.errstate(all="ignore"):
-        size = max(1, BLOCK // max(1, len(own) * max(len(others), edges.values.shape[1])))
         for first in range(0, episodes, size):
             block = slice(first, first + size)
-            found = _block_velocities(
-                planes[:, :, block], edges.values[:, :, block], own, others, time_step, neighbor_distance,
-                max_neighbors, time_horizon, obstacle_time_horizon,
-            )
-            result[block, own] = np.where(wanted[own, block], found, np.float32(np.nan)).T
-    return result
-
-
-def _block_velocities(planes, edges, own, others, time_step, neighbor_distance, max_neighbors, time_horizon, obstacle_horizon):
-    agent = planes.take(own, axis=1)
-    preferred = agent[6:].reshape(2, -1)
-    speed = agent[5].reshape(-1)
-    # Everybody's others, without themselves.
-    rank = np.arange(len(others) - 1)[:, None]
-    other = planes[:5].take(others[rank + (rank >= np.searchsorted(others, own))], axis=1)
-    if len(rank) > max_neighbors:
-        x, y = other[0] - agent[0], other[1] - agent[1]
-        nearest = _nearest(x * x + y * y, max_neighbors)
-        other = np.take_along_axis(other, nearest[None], axis=1)
-    lines = agent_half_planes(agent, other, time_step, neighbor_distance, time_horizon)
-    lines = lines.reshape(4, -1, speed.size)
-    if not edges.shape[1]:
-        return permitted(lines, 0, speed, preferred).reshape(2, len(own), -1)
-    result = limit_speed(preferred, speed)
-    hard, owner, squared, ends = edge_half_planes(edges, agent[:6], obstacle_horizon)
-    unhappy = (violations(lines, result) > 0).any(axis=0)
-    unhappy[owner[violations(hard, result.take(owner, axis=1)) > 0]] = True
-    pairs = np.flatnonzero(unhappy[owner])
-    owner = (np.cumsum(unhappy) - 1)[owner[pairs]]
-    unhappy = np.flatnonzero(unhappy)
-    if len(unhappy):
-        margin = agent[4].reshape(-1)[unhappy] * np.float32(1 / obstacle_horizon)
-        hard = uncovered(hard.take(pairs, axis=1), owner, squared[pairs], ends.take(pairs, axis=1), margin)
-        lines = np.concatenate([hard, lines.take(unhappy, axis=2)], axis=1)
-        result[:, unhappy] = permitted(lines, hard.shape[1], speed[unhappy], preferred.take(unhappy, axis=1))
-    return result.reshape(2, len(own), -1)
-
-
-def permitted(lines, n_hard, speed, preferred):
-    result, feasible = nearest_velocities(lines, speed, preferred)
-    rest = np.flatnonzero(~feasible)
-    if len(rest):
-        result[:, rest], found = least_violations(lines.take(rest, axis=2), n_hard, speed[rest], result.take(rest, axis=1))
-        rest = rest[~found]
-    if len(rest):
-        result[:, rest] = one_by_one(lines[:, :, rest], speed[rest], preferred[:, rest])
-    return result
+            for column in range(0, len(own), columns):
+                part = own[column : column + columns]
+                agent = planes[:, :, block].take(part, axis=1)
+                other = _neighbors(planes[:5, :, block], part, others, max_neighbors)
+                lines = agent_half_planes(agent, other, time_step, neighbor_distance, time_horizon)
+                found = _velocities(agent, lines, edges[:, :, block], obstacle_time_horizon)
+                velocities[block, part] = np.where(wanted[part, block], found, np.float32(np.nan)).T
+    return velocities
 
 
 def agent_half_planes(agent, other, time_step, neighbor_distance, time_horizon):
-    """Return the half-planes (4, M, ...) by which agents share the avoiding of others, zeros where there is nobody near.
+    """Return the half-planes (4, M, C, E) by which agents share the avoiding of others, zeros where nobody is near.
 
-    agent (8, ...) and other (5, M, ...) are position, velocity, radius and so on, NaN where absent; float32, m, m/s, s.
+    agent (8, C, E) and other (5, M, C, E) are position, velocity, radius and so on, NaN where absent; float32, in m and
+    m/s. time_step and time_horizon are in s, neighbor_distance in m. Source: the paper's section 4.
     """
     x, y, velocity_x, velocity_y, reach = other
     x, y, reach = x - agent[0], y - agent[1], reach + agent[4]
     velocity_x, velocity_y = agent[2] - velocity_x, agent[3] - velocity_y
-    squared = x * x + y * y
-    reach_squared = reach * reach
+    squared, reach_squared = x * x + y * y, reach * reach
+    # Agents that overlap must part within the time step.
     overlap = squared <= reach_squared
-    rate = choose(bits(overlap), np.float32(1 / time_step), np.float32(1 / time_horizon))
+    rate = choose(bits(overlap), 1 / np.float32(time_step), 1 / np.float32(time_horizon))
 
-    # w leads from the centre of the cut-off disc to the relative velocity.
+    # From the centre of the cut-off disc to the relative velocity; the disc counts if that is on its near side.
     w_x, w_y = velocity_x - rate * x, velocity_y - rate * y
     w_squared = w_x * w_x + w_y * w_y
     towards = w_x * x + w_y * y
     on_disc = bits(overlap | ((towards < 0) & (towards * towards > reach_squared * w_squared)))
 
-    # On the left leg of the cone where the relative velocity is left of its axis, else on the right one, turned around.
+    # Else the left leg of the cone counts, if the relative velocity is left of its axis, or the right one, reversed.
     leg = np.copysign(np.sqrt(squared - reach_squared), x * w_y - y * w_x)
     scale = 1 / squared
     leg_x, leg_y = x * leg, x * reach
@@ -180,17 +147,93 @@ def agent_half_planes(agent, other, time_step, neighbor_distance, time_horizon):
     np.add(agent[3], change_y, out=half_planes[1])
     half_planes[2] = choose(on_disc, w_y, leg_x)
     half_planes[3] = choose(on_disc, -w_x, leg_y)
-    # Clear all bits of those that are absent or too far away.
-    half_planes.view(np.int32)[...] &= bits(squared < np.float32(neighbor_distance**2))
+    half_planes.view(np.int32)[...] &= bits(squared < np.float32(neighbor_distance) * np.float32(neighbor_distance))
     return half_planes
 
 
-def _nearest(squared, count):
-    """Return the indices (count, ...) of the least of the squared distances (M, ...), ties to the first, NaN last."""
-    # The bits of positive floats are ordered as the floats are; the low half of the key breaks ties.
-    bits = np.where(squared >= 0, squared.view(np.int32), np.int32(0x7FFFFFFF)).astype(np.int64)
-    key = bits << 32 | np.arange(len(squared)).reshape(-1, 1, 1)
-    return np.partition(key, count, axis=0)[:count] & 0xFFFFFFFF
+def _velocities(agent, lines, edges, obstacle_time_horizon):
+    """Return the velocities (2, C, E) of agents (8, C, E) who keep their half-planes (4, M, C, E) and off the edges."""
+    shape = agent.shape[1:]
+    preferred, speed = agent[6:].reshape(2, -1), agent[5].reshape(-1)
+    lines = lines.reshape(4, -1, speed.size)
+    if not edges.shape[1]:
+        return _permitted(lines, 0, speed, preferred).reshape(2, *shape)
+
+    # Which edges cover others matters only to agents whose preferred velocity is not permitted.
+    velocity = limit_speed(preferred, speed)
+    hard, owner, ends = edge_half_planes(edges, agent[:6], obstacle_time_horizon)
+    moved = (violations(lines, velocity) > 0).any(axis=0)
+    moved[owner[violations(hard, velocity.take(owner, axis=1)) > 0]] = True
+    pair = np.flatnonzero(moved[owner])
+    owner = (np.cumsum(moved) - 1)[owner[pair]]
+    moved = np.flatnonzero(moved)
+    radius = agent[4].reshape(-1)[moved]
+    hard = uncovered(hard.take(pair, axis=1), owner, ends.take(pair, axis=1), radius, obstacle_time_horizon)
+    lines = np.concatenate([hard, lines.take(moved, axis=2)], axis=1)
+    velocity[:, moved] = _permitted(lines, hard.shape[1], speed[moved], preferred.take(moved, axis=1))
+    return velocity.reshape(2, *shape)
+
+
+def _permitted(half_planes, n_hard, max_speed, preferred):
+    """Return the velocities (2, Q) nearest to the preferred ones, or those that violate the soft half-planes least.
+
+    Where the hard half-planes, the first n_hard of (4, M, Q), have only rounding errors in common, the first ones win.
+    """
+    velocity, feasible = nearest_velocities(half_planes, max_speed, preferred)
+    rest = np.flatnonzero(~feasible)
+    if len(rest):
+        velocity[:, rest], found = least_violations(
+            half_planes.take(rest, axis=2), n_hard, max_speed[rest], velocity.take(rest, axis=1)
+        )
+        rest = rest[~found]
+    if len(rest):
+        velocity[:, rest] = one_by_one(half_planes.take(rest, axis=2), max_speed[rest], preferred.take(rest, axis=1))
+    return velocity
+
+
+def _neighbors(planes, own, others, most):
+    """Return the planes (5, M, C, E) of the others of the agents in rows `own`: all of them, or the nearest `most`.
+
+    planes (5, N, E) start with the position, others are the rows in which anybody is present.
+    """
+    if len(others) - 1 <= most or most == 0:
+        rank = np.arange(min(len(others) - 1, most))[:, None]
+        return planes.take(others[rank + (rank >= np.searchsorted(others, own))], axis=1)
+    episodes = planes.shape[2]
+    nearest = np.empty((most, len(own), episodes), np.int64)
+    at_once = max(1, BLOCK // (len(others) * episodes))
+    position = np.ascontiguousarray(planes[:2].take(others, axis=1).transpose(0, 2, 1))
+    for first in range(0, len(own), at_once):
+        columns = own[first : first + at_once]
+        x, y = position[:, None] - planes[:2].take(columns, axis=1)[..., None]
+        x *= x
+        y *= y
+        x += y
+        distance = np.fmin(x, INFINITY, out=x).view(np.int32)  # bits of positive floats are ordered as the floats are
+        distance[np.arange(len(columns)), :, np.searchsorted(others, columns)] = LAST
+        chosen = _least(distance, most).reshape(len(columns), episodes, most)
+        nearest[:, first : first + at_once] = others[chosen].transpose(2, 0, 1)
+    return planes.reshape(len(planes), -1).take(nearest * episodes + np.arange(episodes), axis=1)
+
+
+def _least(distance, count):
+    """Return where the least of the integers (..., M) are, (K, count) in ascending order; of equal ones the first."""
+    distance = distance.reshape(-1, distance.shape[-1])
+    limit = np.partition(distance, count - 1, axis=1)[:, count - 1 : count]
+    chosen = np.flatnonzero(distance <= limit)
+    if len(chosen) > count * len(distance):
+        key = distance.astype(np.int64) << 32 | np.arange(distance.shape[1])
+        return np.sort(np.partition(key, count - 1, axis=1)[:, :count] & 0xFFFFFFFF, axis=1)
+    return chosen.reshape(-1, count) % distance.shape[1]
+
+
+def _edge_values(polygons, episodes):
+    if polygons is None:
+        return np.empty((FIELDS, 0, episodes), np.float32)
+    edges = polygons if isinstance(polygons, Edges) else polygon_edges(polygons)
+    if len(edges) != episodes:
+        raise ValueError(f"polygons must belong to {episodes} episodes, not to {len(edges)}")
+    return edges.values
 
 
 def _checked(name, value, shape):
@@ -202,9 +245,7 @@ def _checked(name, value, shape):
 
 def _broadcast(name, value, shape):
     value = np.asarray(value)
-    if value.shape == shape:
-        return value
     try:
-        return np.broadcast_to(value, shape)
+        return value if value.shape == shape else np.broadcast_to(value, shape)
     except ValueError:
-        raise ValueError(f"{name} must broadcast to shape {shape}, not {value.shape}") from None
+        raise ValueError(f"{name} must broadcast to shape {shape}, not have shape {value.shape}") from None

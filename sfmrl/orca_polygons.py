@@ -1,180 +1,191 @@
 """Half-planes that keep agents clear of standing polygons.
 
 Each edge of a polygon, widened by the agent's radius and divided by the time horizon, is a set of velocities that hit
-it: a segment as the near end (the cut-off), round corners, and two legs to infinity. The half-plane touches that set
-where it is nearest to the agent's velocity. The agent alone is responsible, so nothing is halved.
+it, its velocity obstacle: a segment as the near end (the cut-off), round corners, and two legs to infinity. The
+half-plane touches that set where it is nearest to the agent's velocity. The agent alone is responsible, so nothing is
+halved.
 
 Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, section 5.4. What the paper leaves open is
 done as the authors' RVO2 library does it: an edge counts only for agents outside of it and within range, and only where
 the half-planes of nearer edges do not cover it already; a leg that would cut into the neighbouring edge runs along that
 edge and does not constrain. Left out: RVO2's search tree, which now and then splits an edge in two along another one's
 line, and with it the order among edges that are exactly equally near (here: the order in which they were given).
-"""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+Pairs of an edge and an agent that it faces are listed one after the other, K in all, agent by agent and nearest first.
+Vectors are (2, K); what a pair has for both ends of its edge, start and end, has one more axis for them, (2, 2, K).
+"""
 
 import numpy as np
 
 from sfmrl.linear_programs import INFINITY, bits, choose
+from sfmrl.polygons import FIELDS
 
 COVERED = np.float32(1e-5)  # m/s by which a covered edge may stick out
-
-FIELDS = 12
-SIDES = np.array([[1], [-1]], np.float32)  # the left and the right end of an edge, as seen from outside
-
-
-@dataclass(frozen=True)
-class Edges:
-    """The polygons' edges of E episodes: `values` is float32 (12, S, E), NaN from each episode's last edge on.
-
-    The twelve rows, each pair for an edge's start and end: x; y (m); the unit direction, x; y, in which the outline goes
-    on from there, away from this edge; whether the corner is convex (1 or 0); and last the edge's own direction x, y.
-    Seen from outside, an edge of a counter-clockwise polygon starts at the left.
-    """
-
-    values: np.ndarray
-
-    def __len__(self) -> int:
-        return self.values.shape[2]
-
-    def take(self, rows: np.ndarray) -> "Edges":
-        """The edges of some of the episodes: an index array, a mask or a slice."""
-        return Edges(self.values[:, :, rows])
-
-    @staticmethod
-    def concatenate(parts: Sequence["Edges"]) -> "Edges":
-        """The episodes of all parts, one after the other."""
-        most = max(part.values.shape[1] for part in parts)
-        episodes = sum(len(part) for part in parts)
-        values = np.full((FIELDS, most, episodes), np.nan, np.float32)
-        first = 0
-        for part in parts:
-            values[:, : part.values.shape[1], first : first + len(part)] = part.values
-            first += len(part)
-        return Edges(values)
-
-
-def polygon_edges(polygons: np.ndarray) -> Edges:
-    """Return the edges of solid polygons (E, P, V, 2) in m, given counter-clockwise; absent vertices are NaN.
-
-    Absent vertices come last in their polygon; two vertices make a wall. Raises ValueError for other shapes, for a
-    polygon that is clockwise, and for one with a single vertex or with two equal vertices in a row.
-    """
-    polygons = np.asarray(polygons, np.float32)
-    if polygons.ndim != 4 or polygons.shape[3] != 2:
-        raise ValueError(f"polygons must have shape (E, P, V, 2), not {polygons.shape}")
-    present = ~np.isnan(polygons).any(axis=3)
-    if (present[:, :, 1:] & ~present[:, :, :-1]).any():
-        raise ValueError("polygons: absent vertices (NaN) must come after a polygon's last vertex")
-
-    count = present.sum(axis=2)
-    episode, polygon, vertex = np.nonzero(present)
-    size = count[episode, polygon]
-    before, start, end, after = (polygons[episode, polygon, (vertex + shift) % size].T for shift in (-1, 0, 1, 2))
-    _check_outlines(start, end, polygons[episode, polygon, 0].T, size, episode * polygons.shape[1] + polygon)
-    previous, own, following = _unit(start - before), _unit(end - start), _unit(after - end)
-    start_convex = (_det(start - before, end - start) >= 0) | (size == 2)
-    end_convex = (_det(end - start, after - end) >= 0) | (size == 2)
-
-    per_episode = count.sum(axis=1)
-    slot = np.arange(len(episode)) - (np.cumsum(per_episode) - per_episode)[episode]
-    values = np.full((FIELDS, per_episode.max(initial=0), len(polygons)), np.nan, np.float32)
-    ends = [start[0], end[0], start[1], end[1], -previous[0], following[0], -previous[1], following[1]]
-    values[:, slot, episode] = [*ends, start_convex, end_convex, *own]
-    return Edges(values)
-
-
-def _check_outlines(start, end, first, size, outline):
-    """Raise ValueError for edges (2, K), numbered by their `outline`, that are no counter-clockwise polygons."""
-    if (size == 1).any():
-        raise ValueError("polygons: a polygon needs two vertices (a wall) or more, not one")
-    if (start == end).all(axis=0).any():
-        raise ValueError("polygons: two equal vertices in a row make an edge without a direction")
-    twice_area = np.bincount(outline, _det(start - first, end - first))
-    if (twice_area[outline[size > 2]] <= 0).any():
-        raise ValueError("polygons: vertices must run counter-clockwise around a solid area")
+SIDES = np.array([[1], [-1]], np.float32)  # an edge's start is at the left, its end at the right
+FAR = np.int64(0x7F800000) << 16  # the sorting key of infinity
+FEW = 4000  # pairs; with more, it pays to sort out those that the nearest edge covers first
 
 
 def edge_half_planes(edges, agent, time_horizon):
-    """Return the half-planes (4, K) of edges, the agents (K,) they are for, and the edges' distances (K,) and ends (4, K).
+    """Return the half-planes (4, K) of edges that count, the agents (K,) they are for, and the edges' ends (4, K).
 
     edges (12, S, E) are as in `Edges`, agent (6, C, E) is position, velocity, radius and maximum speed; float32, in m
-    and m/s, time_horizon in s. Agents are numbered in the order of (C, E). Distances are squared, in m^2; ends, in m/s,
-    are how fast one would reach start and end of the edge at the time horizon.
+    and m/s, time_horizon in s. Agents are numbered in the order of (C, E). The ends are x, y of start and end, in m,
+    seen from the agent.
     """
-    edge, agent, owner = _facing(edges, agent)
-    radius, inverse = agent[4], np.float32(1 / time_horizon)
-    at = edge[:4].reshape(2, 2, -1) - agent[:2, None]  # x and y, start and end, pair
-    corner_squared = _dot(at, at)
-    edge_vector = np.stack([edge[1] - edge[0], edge[3] - edge[2]])
-    along = -_dot(at[:, 0], edge_vector) / _dot(edge_vector, edge_vector)
-    foot = at[:, 0] + along * edge_vector
-    line_squared = _dot(foot, foot)
-    before, behind = along < 0, along > 1
-    squared = choose(bits(before), corner_squared[0], choose(bits(behind), corner_squared[1], line_squared))
+    slots, episodes = edges.shape[1:]
+    sight = _sights(edges, agent, np.float32(time_horizon))
+    agent, edges = agent.reshape(6, -1), edges.reshape(FIELDS, -1)
+    agents = agent.shape[1]
+    episode = np.tile(np.arange(episodes), agents // episodes)
+    squared = sight[-1]
+    # To sort by: the distance (bits of positive floats are ordered as the floats are), and equally near edges in order.
+    key = squared.view(np.int32).astype(np.int64) << 16
+    key |= np.arange(slots)[:, None]
+
+    def planes_of(slot, owner):
+        seen = sight.reshape(len(sight), -1).take(slot * agents + owner, axis=1)
+        outline = edges[4:].take(slot * episodes + episode[owner], axis=1)
+        planes, counts = _half_planes(seen, outline, agent[2:5].take(owner, axis=1), 1 / np.float32(time_horizon))
+        counts = np.flatnonzero(counts)
+        return planes.take(counts, axis=1), slot[counts], owner[counts]
+
+    left = squared < INFINITY
+    found = []
+    if left.size > FEW:
+        nearest = key.min(axis=0)
+        owner = np.flatnonzero(nearest < FAR)
+        slot = nearest[owner] & 0xFFFF
+        left.reshape(-1)[slot * agents + owner] = False
+        planes, slot, owner = planes_of(slot, owner)
+        found.append((planes, slot, owner))
+        covering = np.zeros((4, agents), np.float32)
+        covering[:, owner] = planes
+        left &= ~covers(covering, sight[:4], agent[4], time_horizon)
+    found.append(planes_of(*np.divmod(np.flatnonzero(left), agents)))
+    planes, slot, owner = (np.concatenate(parts, axis=-1) for parts in zip(*found, strict=True))
+    pair = slot * agents + owner
+    order = np.argsort(owner << 47 | key.reshape(-1)[pair])
+    return planes.take(order, axis=1), owner[order], sight[:4].reshape(4, -1).take(pair[order], axis=1)
+
+
+def uncovered(half_planes, owner, ends, radius, time_horizon):
+    """Return each agent's half-planes (4, M, Q), nearest edge first, without those of edges that nearer ones cover.
+
+    half_planes, owner and ends are those of `edge_half_planes`, radius (Q,) in m the agents', time_horizon in s. M is
+    as large as the agent with the most half-planes needs.
+    """
+    agents, index = len(radius), np.arange(len(owner))
+    first = _firsts(owner, agents)
+    # All couples of a later and a nearer edge of the same agent.
+    rank = index - first
+    later = np.repeat(index, rank)
+    nearer = first[later] + np.arange(len(later)) - (np.cumsum(rank) - rank)[later]
+    covered = covers(half_planes.take(nearer, axis=1), ends.take(later, axis=1), radius[owner[later]], time_horizon)
+    later, nearer = later[covered], nearer[covered]
+    # An edge that is covered itself covers nothing: each round settles at least one more edge of every agent.
+    kept, before = np.ones(len(owner), bool), None
+    while not np.array_equal(kept, before):
+        before, kept = kept, np.ones(len(owner), bool)
+        kept[later[before[nearer]]] = False
+
+    kept = np.flatnonzero(kept)
+    half_planes, owner = half_planes.take(kept, axis=1), owner[kept]
+    row = np.arange(len(owner)) - _firsts(owner, agents)
+    packed = np.zeros((4, int(row.max(initial=-1)) + 1, agents), np.float32)
+    packed.reshape(4, -1)[:, row * agents + owner] = half_planes
+    return packed
+
+
+def covers(half_planes, ends, radius, time_horizon):
+    """Return whether half-planes (4, ...) forbid whole edges, given by their ends (4, ...), widened by the radius."""
+    point_x, point_y, direction_x, direction_y = half_planes
+    start_x, end_x, start_y, end_y = ends
+    reached = direction_y * point_x - direction_x * point_y - COVERED
+    needed = reached * np.float32(time_horizon) + radius
+    covered = direction_y * start_x - direction_x * start_y >= needed
+    return covered & (direction_y * end_x - direction_x * end_y >= needed)
+
+
+def _sights(edges, agent, time_horizon):
+    """Return how edges look from agents, (7, S, C * E), and where they do not count, an infinite distance.
+
+    The rows are x and y for start and end; where along the edge, from 0 to 1, the agent is; and the squared distances
+    to the edge's line and to the edge. An edge does not count if it turns its back to the agent or is out of reach.
+    """
+    start_x, end_x, start_y, end_y = ends = edges[:4, :, None]
+    sight = np.empty((7, len(start_x), *agent.shape[1:]), np.float32)
+    at = sight[:4].reshape(2, 2, *sight.shape[1:])
+    np.subtract(ends.reshape(2, 2, *start_x.shape), agent[:2, None, None], out=at)
+    edge = np.stack([end_x - start_x, end_y - start_y])
+    along = np.divide(_dot(at[:, 0], edge), -_dot(edge, edge), out=sight[4])
+    foot = at[:, 0] + along * edge
+    line_squared = sight[5] = _dot(foot, foot)
+    to_start, to_end = _dot(at, at)
+    inside = bits((along >= 0) & (along <= 1))
+    squared = choose(inside, line_squared, np.minimum(to_start, to_end))
+    reach = time_horizon * agent[5] + agent[4]
+    counts = bits((_det(at[:, 0], edge) < 0) & (squared < reach * reach))
+    sight[6] = choose(counts, squared, INFINITY)
+    return sight.reshape(7, len(start_x), -1)
+
+
+def _half_planes(sight, outline, agent, inverse):
+    """Return the half-planes (4, K) of pairs of edges and agents, and whether they constrain (K,).
+
+    sight (7, K) is as in `_sights`, outline (8, K) the edges' last rows, agent (3, K) velocity and radius.
+    """
+    velocity, radius = agent[:2], agent[2]
     radius_squared = radius * radius
-    touching = squared <= radius_squared
-    reach = np.float32(time_horizon) * agent[5] + radius
-    counts = squared < reach * reach
+    along, line_squared, squared = sight[4:]
 
     # An edge seen end-on counts as its nearer corner: that one is then both its left and its right end.
     end_on = line_squared <= radius_squared
-    corner, wall, convex, own = at.copy(), edge[4:8].reshape(2, 2, -1), edge[8:10] > 0, edge[10:]
-    single = end_on & (before | behind)
-    for here, there, seen in ((1, 0, end_on & before), (0, 1, end_on & behind)):
-        seen = np.flatnonzero(seen)
-        corner[:, here, seen] = at[:, there, seen]
-        corner_squared[here, seen] = corner_squared[there, seen]
-        convex[here, seen] = convex[there, seen]
-        wall[:, here, seen] = own[:, seen] * -SIDES[here]
+    beyond = end_on & (along < 0), end_on & (along > 1)
+    single = beyond[0] | beyond[1]
+    corner, wall = sight[:4].reshape(2, 2, -1), outline[:4].reshape(2, 2, -1)
+    convex, own = outline[4:6] > 0, outline[6:]
+    for end in (0, 1):
+        seen = np.flatnonzero(beyond[end])
+        corner[:, 1 - end, seen] = corner[:, end, seen]
+        convex[1 - end, seen] = convex[end, seen]
+        wall[:, 1 - end, seen] = own[:, seen] * -SIDES[1 - end]
 
-    leg, foreign = _legs(corner, corner_squared, convex, radius, own, wall)
-    half_planes, constrains = _tangents(corner * inverse, agent[2:4], leg, foreign, single, own, radius * inverse)
+    leg, foreign = _legs(corner, convex, radius, own, wall)
+    half_planes, counts = _tangents(corner * inverse, velocity, leg, foreign, single, own, radius * inverse)
 
-    # An agent that touches the edge must not come nearer: a half-plane through the origin.
+    # An agent that touches the edge must not come nearer: a half-plane through the origin. At the edge's end, the next
+    # edge takes care of it if the agent faces that one, too.
+    touching = squared <= radius_squared
     touched = np.flatnonzero(touching)
-    half_planes[:, touched] = _clear(corner[:, 0, touched], corner_squared[0, touched], single[touched], own[:, touched])
-    # At its end, the next edge takes care of it if the agent faces that one, too.
-    alone = ~(end_on & behind) | (_det(corner[:, 1], wall[:, 1]) >= 0)
-    counts &= (convex[0] | ~single) & ((touching & alone) | (constrains & ~touching))
-    counts = np.flatnonzero(counts)
-    ends = (at * inverse).reshape(4, -1)
-    return half_planes.take(counts, axis=1), owner[counts], squared[counts], ends.take(counts, axis=1)
+    half_planes[:, touched] = _clear(corner[:, 0, touched], single[touched], own[:, touched])
+    counts |= touching
+    counts &= convex[0] | ~single
+    counts &= ~(touching & beyond[1]) | (_det(corner[:, 1], wall[:, 1]) >= 0)
+    return half_planes, counts
 
 
-def _facing(edges, agent):
-    """Return the pairs of edges (12, K) and agents (6, K) outside of them, and the agents' numbers (K,)."""
-    start_x, end_x, start_y, end_y = edges[:4, :, None]
-    outside = (start_x - agent[0]) * (end_y - start_y) - (start_y - agent[1]) * (end_x - start_x) < 0
-    agents, episodes = agent[0].size, edges.shape[2]
-    slot = np.repeat(np.arange(len(outside)), np.count_nonzero(outside, axis=(1, 2)))
-    owner = np.flatnonzero(outside) - slot * agents
-    episode = np.tile(np.arange(episodes), agents // episodes)[owner]
-    edge = edges.reshape(FIELDS, -1).take(slot * episodes + episode, axis=1)
-    return edge, agent.reshape(len(agent), -1).take(owner, axis=1), owner
-
-
-def _legs(corner, squared, convex, radius, own, wall):
+def _legs(corner, convex, radius, own, wall):
     """Return the unit directions (2, 2, K) of the two legs, and whether they are foreign (2, K): do not constrain.
 
     A leg touches the disc around its corner, but runs along the edge where the outline turns inwards there, and along
     the neighbouring edge where it would cut into that.
     """
+    squared = _dot(corner, corner)
     length, side, scale = np.sqrt(squared - radius * radius), SIDES * radius, 1 / squared
     leg = np.empty_like(corner)
     np.multiply(corner[0] * length - corner[1] * side, scale, out=leg[0])
     np.multiply(corner[0] * side + corner[1] * length, scale, out=leg[1])
-    end, pair = np.nonzero(~convex)
+    end, pair = np.divmod(np.flatnonzero(~convex), len(radius))
     leg[:, end, pair] = own[:, pair] * -SIDES[end, 0]
     foreign = convex & (_det(leg, wall) * SIDES >= 0)
     return choose(bits(foreign), wall, leg), foreign
 
 
 def _tangents(cut, velocity, leg, foreign, single, own, margin):
-    """Return the half-planes (4, K) that touch the velocity obstacles nearest to the velocities, and if they count (K,).
+    """Return the half-planes (4, K) that touch the obstacles nearest to the velocities, and if they constrain (K,).
 
-    The obstacle starts at the cut-off from cut[:, 0] to cut[:, 1], goes on along the legs and is `margin` wider.
+    An obstacle starts at the cut-off between the two ends of `cut`, goes on along the legs, and is `margin` wider.
     """
     towards = velocity[:, None] - cut
     up = _dot(towards, leg)
@@ -197,55 +208,20 @@ def _tangents(cut, velocity, leg, foreign, single, own, margin):
     direction = choose(bits(on_cut), -own, choose(right, -leg[:, 1], leg[:, 0]))
     direction = choose(bits(at_corner), np.stack([towards[1], -towards[0]]), direction)
     point = choose(right, cut[:, 1], cut[:, 0]) + margin * np.stack([-direction[1], direction[0]])
-    counts = at_corner | on_cut | ~np.where(on_right, foreign[1], foreign[0])
+    counts = at_corner | on_cut | ~((on_right & foreign[1]) | (~on_right & foreign[0]))
     return np.concatenate([point, direction]), counts
 
 
-def _clear(corner, squared, single, own):
+def _clear(corner, single, own):
     """Return the half-planes (4, K) of velocities that lead away from the corners, where single, or the edges."""
-    around = np.stack([-corner[1], corner[0]]) * (1 / np.sqrt(squared))
+    around = np.stack([-corner[1], corner[0]]) * (1 / np.sqrt(_dot(corner, corner)))
     return np.concatenate([np.zeros_like(own), np.where(single, around, -own)])
 
 
-def uncovered(half_planes, owner, squared, ends, margin):
-    """Return each agent's half-planes (4, M, Q), nearest edge first, without those of edges that nearer ones cover.
-
-    half_planes, owner, squared and ends are those of `edge_half_planes`, with the agents (Q,) whose radii would be
-    covered at the speeds `margin` (Q,) at the time horizon. M is as large as the most crowded agent needs.
-    """
-    # One integer to sort by: the agent, the distance (bits of positive floats are ordered as the floats are), the edge.
-    key = (owner << 31 | squared.view(np.int32)) << 17 | np.arange(len(owner))
-    key.sort()
-    pair, owner = key & 0x1FFFF, key >> 48
-    agents = len(margin)
+def _firsts(owner, agents):
+    """Return the index of the first pair of the same agent, for all pairs (K,), sorted by their owners (K,)."""
     count = np.bincount(owner, minlength=agents)
-    rank = np.arange(len(owner)) - (np.cumsum(count) - count)[owner]
-    point_x, point_y, *direction, start_x, end_x, start_y, end_y = _packed(
-        np.concatenate([half_planes, ends]), pair, rank, owner, agents
-    )
-    most = len(point_x)
-    needed = direction[1] * point_x - direction[0] * point_y + (margin - COVERED)
-    later, nearer = np.tril_indices(most, -1)
-    needed, direction_x, direction_y = (each.take(nearer, axis=0) for each in (needed, *direction))
-    covered = direction_y * start_x.take(later, axis=0) - direction_x * start_y.take(later, axis=0) >= needed
-    covered &= direction_y * end_x.take(later, axis=0) - direction_x * end_y.take(later, axis=0) >= needed
-    present = np.arange(most)[:, None] < count
-    for edge in range(1, most):
-        first = edge * (edge - 1) // 2
-        present[edge] &= ~(covered[first : first + edge] & present[:edge]).any(axis=0)
-
-    kept = present[rank, owner]
-    rank = np.cumsum(present, axis=0)[rank, owner] - 1
-    return _packed(half_planes, pair[kept], rank[kept], owner[kept], agents)
-
-
-def _packed(values, pair, row, column, width):
-    """Return an array (F, M, width) with values[:, pair] (F, K) at row (K,) and column (K,), and zeros elsewhere."""
-    height = int(row.max(initial=-1)) + 1
-    source = np.full(height * width, values.shape[1])
-    source[row * width + column] = pair
-    padded = np.concatenate([values, np.zeros((len(values), 1), values.dtype)], axis=1)
-    return padded.take(source, axis=1).reshape(len(values), height, width)
+    return (np.cumsum(count) - count)[owner]
 
 
 def _det(a, b):
@@ -256,8 +232,3 @@ def _det(a, b):
 def _dot(a, b):
     """Scalar product of vectors (2, ...)."""
     return a[0] * b[0] + a[1] * b[1]
-
-
-def _unit(vector):
-    """Vectors (2, ...) scaled to length 1."""
-    return vector * (1 / np.sqrt(vector[0] * vector[0] + vector[1] * vector[1]))

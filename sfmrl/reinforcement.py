@@ -17,7 +17,7 @@ import numpy as np
 
 from sfmrl.config import Config, ConfigError, Reinforcement
 from sfmrl.crowd import World
-from sfmrl.episodes import Record, longest_episode, play_episodes, returns_of
+from sfmrl.episodes import Record, play_episodes, returns_of
 from sfmrl.evaluation import episode_rows, evaluate
 from sfmrl.files import DamagedFile, read_sums
 from sfmrl.imitation import DEMONSTRATIONS, fill_memory, fit_memory, load_demonstrations, make_memory, new_fit
@@ -216,7 +216,7 @@ def explore(policy: Policy, config: Config, episodes: Sequence[int]) -> tuple[Re
     """Play training episodes with epsilon-greedy actions; their record, and which steps (E, T) were random."""
     settings = config.reinforcement
     scenes = sample_scenes(settings.environment, episodes, config.seed, phase="train")
-    most = longest_episode(config.simulation)
+    most = config.simulation.longest
     rngs = [generator(config.seed, "exploration", episode) for episode in episodes]
     random_steps = np.array([rng.random(most) for rng in rngs]) < epsilon(settings, np.array(episodes))[:, None]
     picks = ACTIONS[np.array([rng.integers(len(ACTIONS), size=most) for rng in rngs])]  # (E, T, 2)

@@ -31,7 +31,8 @@ CORES = torch.get_num_threads()
 
 def main() -> None:
     """Print every section."""
-    console.print(f"{platform.processor() or platform.machine()}, {CORES} cores, numpy {np.__version__}, torch {torch.__version__}")
+    versions = f"numpy {np.__version__}, torch {torch.__version__}"
+    console.print(f"{platform.machine()} {torch.backends.cpu.get_cpu_capability()}, {CORES} cores, {versions}")
     torch.set_num_threads(1)
     simulator()
     learning()
@@ -42,15 +43,17 @@ def main() -> None:
 
 def simulator() -> None:
     """Environment steps per second, ORCA driving everybody, beside RVO2's own step on the same moments."""
-    console.print("\n[bold]simulator[/bold], one core; a step is one of one episode, from start to end of real episodes")
-    console.print("scene              E     steps/s   us a step   of it ORCA   RVO2's step   RVO2 / ORCA   RVO2 / step")
+    console.print(
+        "\n[bold]simulator[/bold], one core; real episodes from start to end; microseconds a step of one episode"
+    )
+    heads = ("scene", "E", "steps/s", "step", "of it ORCA", "RVO2's step", "RVO2/ORCA", "RVO2/step")
+    console.print(f"{heads[0]:17} {heads[1]:>4}" + "".join(f"{head:>12}" for head in heads[2:]))
     for title, environment in SCENES.items():
         for batch in (1, 64, 256):
             whole, orca, record = played(environment, batch)
             rvo2 = rvo2_microseconds(record)
-            console.print(
-                f"{title:17} {batch:3} {1e6 / whole:11,.0f} {whole:11.1f} {orca:12.1f} {rvo2:13.1f} {rvo2 / orca:13.2f} {rvo2 / whole:13.2f}"
-            )
+            numbers = f"{1e6 / whole:12,.0f}" + "".join(f"{number:12.1f}" for number in (whole, orca, rvo2))
+            console.print(f"{title:17} {batch:4}{numbers}{rvo2 / orca:12.2f}{rvo2 / whole:12.2f}", soft_wrap=True)
 
 
 def played(environment: str, batch: int) -> tuple[float, float, Record]:

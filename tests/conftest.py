@@ -1,0 +1,38 @@
+"""What all tests share: the same examples on every run, the `sfmrl` command as a subprocess, and the data's place."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+ROOT = Path(__file__).resolve().parent.parent
+DATA = ROOT / "tests" / "data"
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # tests are small; torch's threads would only wait for each other
+
+settings.register_profile("sfmrl", deadline=None, derandomize=True, max_examples=50)
+settings.load_profile("sfmrl")
+
+
+def environment() -> dict[str, str]:
+    """The environment of a subprocess that must find this checkout, and not colour its output."""
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    plain = {name: value for name, value in os.environ.items() if name not in ("FORCE_COLOR", "TTY_COMPATIBLE")}
+    return plain | {"PYTHONPATH": path, "NO_COLOR": "1", "COLUMNS": "100", "LINES": "30", "PYTHONIOENCODING": "utf-8"}
+
+
+@pytest.fixture
+def sfmrl(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess]:
+    """Call the command in a temporary folder: `sfmrl("eval", "orca")` -> code, stdout, stderr as text."""
+
+    def call(*words: object, cwd: Path = tmp_path) -> subprocess.CompletedProcess:
+        command = [sys.executable, "-m", "sfmrl", *map(str, words)]
+        return subprocess.run(
+            command, cwd=cwd, env=environment(), stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=200
+        )
+
+    return call

@@ -1,0 +1,241 @@
+"""The command as people and programs use it: real processes, their output, exit codes and error lines."""
+
+import csv
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from conftest import ROOT, environment
+
+from sfmrl.cli import main
+
+Call = Callable[..., subprocess.CompletedProcess]
+TINY_IL = ("--episodes", "6", "--epochs", "2")
+TINY_RL = ("--episodes", "4", "--parallel", "4", "--validation-episodes", "2", "--test-episodes", "4")
+
+
+@pytest.fixture
+def in_process(monkeypatch, capsys, tmp_path: Path) -> Call:
+    """The same command without a process of its own, for the many small errors; an unexpected one is raised here."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words: str) -> subprocess.CompletedProcess:
+        monkeypatch.setattr(sys, "argv", ["sfmrl", *words])
+        with pytest.raises(SystemExit) as end:
+            main()
+        return subprocess.CompletedProcess(words, end.value.code, *capsys.readouterr())
+
+    return call
+
+
+def assert_one_line_error(done: subprocess.CompletedProcess, *words: str) -> None:
+    """Wrong use: exit code 2, nothing on standard output, one line on standard error with all of `words` in it."""
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+    for word in words:
+        assert word in done.stderr
+
+
+def test_from_imitation_to_replay(sfmrl: Call, tmp_path: Path):
+    il = sfmrl("il", *TINY_IL)
+    assert (il.returncode, il.stdout) == (0, "")
+    assert "done: runs/il-sarl-seed0; next: sfmrl rl" in il.stderr
+
+    rl = sfmrl("rl", "--reward", "sfm", *TINY_RL)
+    assert rl.returncode == 0, rl.stderr
+    assert "from imitation run runs/il-sarl-seed0" in rl.stderr
+    assert "refitting to reward sfm" in rl.stderr
+    assert "test of runs/rl-sarl-sfm2-seed0, environment table1" in rl.stdout
+    result = json.loads((tmp_path / "runs/rl-sarl-sfm2-seed0/result.json").read_text())
+    assert result["episodes"] == 4
+
+    again = sfmrl("eval", "--episodes", "4", "--json", "--csv", "out.csv")  # the newest run, as it was tested
+    assert again.returncode == 0, again.stderr
+    assert "policy: runs/rl-sarl-sfm2-seed0" in again.stderr
+    found = json.loads(again.stdout)
+    assert {name: found[name] for name in result} == result
+    assert (found["policy"], found["environment"], found["seed"]) == ("runs/rl-sarl-sfm2-seed0", "table1", 0)
+    with open(tmp_path / "out.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["episode"] for row in rows] == ["0", "1", "2", "3"]
+    assert sum(row["outcome"] == "success" for row in rows) == 4 * result["success"]
+
+    refused = sfmrl("eval", "--episodes", "4", "--csv", "out.csv")
+    assert_one_line_error(refused, "out.csv", "--overwrite")
+    assert len((tmp_path / "out.csv").read_text().splitlines()) == 5
+    assert sfmrl("eval", "linear", "--episodes", "2", "--csv", "out.csv", "--overwrite").returncode == 0
+    assert len((tmp_path / "out.csv").read_text().splitlines()) == 3
+
+    replay = sfmrl("ascii-render", "--frames", "2", "--episode", "1")
+    assert replay.returncode == 0, replay.stderr
+    assert replay.stdout.count("episode 1") == 2
+    assert "\x1b" not in replay.stdout
+    assert max(map(len, replay.stdout.splitlines())) <= 100  # COLUMNS
+
+    finished = sfmrl("rl", "--resume", "runs/rl-sarl-sfm2-seed0")
+    assert finished.returncode == 2
+    assert "is finished; there is nothing to go on with" in finished.stderr
+
+
+def test_an_existing_run_is_only_replaced_when_told(sfmrl: Call, tmp_path: Path):
+    assert sfmrl("il", *TINY_IL, "--run", "mine").returncode == 0
+    weights = (tmp_path / "mine" / "weights.pt").read_bytes()
+    assert_one_line_error(sfmrl("il", *TINY_IL, "--run", "mine"), "mine is there already", "--overwrite")
+    assert (tmp_path / "mine" / "weights.pt").read_bytes() == weights
+    assert sfmrl("il", *TINY_IL, "--seed", "3", "--run", "mine", "--overwrite").returncode == 0
+    assert (tmp_path / "mine" / "weights.pt").read_bytes() != weights
+    # The run that a training starts from is not what it may replace.
+    weights = (tmp_path / "mine" / "weights.pt").read_bytes()
+    own = sfmrl("rl", *TINY_RL, "--from", "mine", "--run", "mine", "--overwrite")
+    assert own.returncode == 2
+    assert (tmp_path / "mine" / "weights.pt").read_bytes() == weights
+
+
+def test_a_run_from_scratch_needs_no_imitation(sfmrl: Call):
+    done = sfmrl("rl", "--from-scratch", *TINY_RL, "--forces", "--environment", "5", "--json-is-no-option")
+    assert_one_line_error(done, "--json-is-no-option")
+    done = sfmrl("rl", "--from-scratch", *TINY_RL, "--forces", "--environment", "5", "--time-limit", "4")
+    assert done.returncode == 0, done.stderr
+    assert "environment 5" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("eval", "orac"), ("there is no policy orac", "linear, orca, sfm", "did you mean orca?")),
+        (("eval", "runs/none"), ("there is no policy runs/none",)),
+        (("eval", "orca", "--episode", "5"), ("--episode", "--episodes")),
+        (("eval", "orca", "--episodes", "many"), ("--episodes",)),
+        (("eval", "orca", "--episodes", "0"), ("--episodes",)),
+        (("eval", "orca", "--environment", "7"), ("there is no environment '7'", "table1")),
+        (("eval", "orca", "--environment", ""), ("there is no environment ''",)),
+        (("eval", "orca", "--reward", "smf"), ("there is no reward 'smf'", "did you mean sfm?")),
+        (("eval", "orca", "--crowd", "orka"), ("crowd is 'orka'; choose orca, sfm", "did you mean orca?")),
+        (("eval", "orca", "--time-limit", "inf"), ("time-limit",)),
+        (("eval", "orca", "--time-step", "nan"), ("time-step",)),
+        (("eval", "orca", "--csv", "no/such/folder.csv"), ("no folder no/such",)),
+        (("eval", "orca", "--episodes", "2", "--csv", ".", "--overwrite"), ("is a folder",)),
+        (("eval", "."), (". is not a run folder",)),
+        (("eval",), ("no finished run", "sfmrl il")),
+        (("il", "--variant", "sarl-sfn"), ("there is no variant 'sarl-sfn'", "did you mean sarl-sfm?")),
+        (("il", "--preset", "papre"), ("did you mean paper?",)),
+        (("il", "--seed", "-1"), ("seed is -1",)),
+        (("il", "--learning-rate", "nan"), ("learning-rate",)),
+        (("il", "--resume", "nowhere"), ("nowhere does not exist",)),
+        (("il", "--resume", "nowhere", "--seed", "1"), ("--resume takes every setting",)),
+        (("il", "--device", "gpu"), ("device",)),
+        (("rl",), ("no finished imitation run", "sfmrl il --preset quick --seed 0", "--from-scratch")),
+        (("rl", "--preset", "paper", "--seed", "3"), ("sfmrl il --preset paper --seed 3",)),
+        (("rl", "--from", "nowhere"), ("nowhere does not exist",)),
+        (("rl", "--from", "x", "--from-scratch"), ("--from and --from-scratch",)),
+        (("ascii-render", "orca", "--episode", "-1"), ("--episode",)),
+        (("ascii-render", "orca", "--environment", "9"), ("there is no environment '9'",)),
+        (("train",), ("train",)),
+    ],
+)
+def test_wrong_use_is_one_line_that_says_how_to_go_on(in_process: Call, tmp_path: Path, words, said):
+    assert_one_line_error(in_process(*words), *said)
+    assert list(tmp_path.iterdir()) == []  # nothing is left behind
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("il", *TINY_IL, "--environment", "9"),
+        ("il", *TINY_IL, "--reward", "smf"),
+        ("rl", "--from-scratch", *TINY_RL, "--environment", "9"),
+        ("rl", "--from-scratch", *TINY_RL, "--test-environment", "9"),
+        ("rl", "--from-scratch", *TINY_RL, "--reward", "missing.py:mine"),
+    ],
+)
+def test_a_training_that_cannot_begin_leaves_no_run_folder(in_process: Call, tmp_path: Path, words):
+    done = in_process(*words)
+    assert done.returncode == 2, done.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+def test_demonstrations_that_all_time_out_are_an_error_that_says_so(sfmrl: Call):
+    done = sfmrl("il", *TINY_IL, "--time-limit", "2")
+    assert done.returncode in (1, 2)
+    assert "Traceback" not in done.stderr
+    assert "time" in done.stderr.splitlines()[-1]
+
+
+def test_a_failure_of_the_system_is_exit_code_1(sfmrl: Call, tmp_path: Path):
+    (tmp_path / "file").write_text("")
+    done = sfmrl("il", *TINY_IL, "--run", "file/run")
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert "file/run" in done.stderr
+
+
+def test_a_damaged_run_is_one_line_too(sfmrl: Call, tmp_path: Path):
+    assert sfmrl("il", *TINY_IL, "--run", "il").returncode == 0
+    path = tmp_path / "il" / "weights.pt"
+    path.write_bytes(path.read_bytes()[:1000])
+    assert_one_line_error(sfmrl("eval", "il"), "il/weights.pt is damaged")
+
+
+def test_results_go_to_standard_output_and_what_to_do_next_to_standard_error(sfmrl: Call):
+    done = sfmrl("eval", "orca", "--environment", "2", "--episodes", "6", "--reward", "sfm", "--no-robot-visible")
+    assert done.returncode == 0
+    assert re.search(r"all\s+│\s+0\.\d{3}", done.stdout)
+    line = done.stderr.splitlines()[-1]
+    assert "failed; see one: sfmrl ascii-render orca --environment 2 --seed 0 --episode" in line
+    shown = sfmrl(*line.partition("see one: sfmrl ")[2].split(), "--frames", "1")
+    assert shown.returncode == 0, shown.stderr
+    assert shown.stdout.strip()
+
+
+def test_the_reader_of_a_pipe_may_leave_early():
+    words = [sys.executable, "-m", "sfmrl", "ascii-render", "orca", "--frames", "90"]
+    process = subprocess.Popen(words, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline()
+    process.stdout.close()
+    assert process.stderr.read() == ""
+    assert process.wait() == 0
+
+
+def test_scenes_are_drawn_without_playing(sfmrl: Call):
+    done = sfmrl("ascii-render", "--scenes", "--ascii")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.isascii()
+    assert all(f"environment {name}" in done.stdout for name in "12345")
+
+
+@pytest.mark.parametrize("command", ["", "il", "rl", "eval", "ascii-render"])
+def test_help_answers_without_numpy_or_torch(command):
+    code = (
+        "import runpy, sys\n"
+        f"sys.argv = ['sfmrl', *{command.split()!r}, '--help']\n"
+        "try: runpy.run_module('sfmrl', run_name='__main__')\n"
+        "except SystemExit as end: assert not end.code, end.code\n"
+        "print(sorted({'numpy', 'torch'} & set(sys.modules)), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.strip() == "[]"
+    assert "Usage" in done.stdout
+    if command:
+        assert "default" in done.stdout
+        assert "Example: sfmrl" in done.stdout
+
+
+def test_help_shows_the_config_s_own_defaults(sfmrl: Call):
+    text = re.sub(r"[\s│]+", " ", sfmrl("rl", "--help").stdout)
+    for words in ("default 0.001", "paper 10000, quick 2000", "paper off, quick on", "(orca | sfm)", "(td | returns)"):
+        assert words in text
+
+
+@pytest.mark.parametrize("words", [["--help"], ["eval", "linear", "--environment", "5", "--episodes", "2", "--json"]])
+def test_the_launcher_works_from_a_checkout_without_installing(tmp_path, words):
+    plain = {name: value for name, value in environment().items() if name != "PYTHONPATH"}
+    command = [sys.executable, str(ROOT / "sfmrl.py"), *words]
+    done = subprocess.run(command, env=plain, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "Teach a robot" in done.stdout or json.loads(done.stdout)["episodes"] == 2

@@ -1,0 +1,123 @@
+"""Metrics of a record made by hand, and the Wilson interval against SciPy."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import binomtest
+
+from sfmrl.config import Reward, Simulation
+from sfmrl.episodes import Record
+from sfmrl.evaluation import episode_rows, evaluate, metrics, wilson
+from sfmrl.files import csv_text
+from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
+from sfmrl.scenarios import Scenes
+
+
+@given(st.integers(1, 2000), st.data())
+def test_wilson_interval_is_scipy_s(trials, data):
+    successes = data.draw(st.integers(0, trials))
+    expected = binomtest(successes, trials).proportion_ci(method="wilson")
+    low, high = wilson(successes, trials)
+    assert (low, high) == pytest.approx((expected.low, expected.high), abs=1e-6)
+    assert 0 <= low <= successes / trials + 1e-12
+    assert successes / trials - 1e-12 <= high <= 1
+
+
+def test_wilson_interval_without_trials_is_everything():
+    assert wilson(0, 0) == (0.0, 1.0)
+
+
+def hand_made_record() -> Record:
+    """Four episodes of at most three steps: two successes, a collision in environment 2, a time-out in 1."""
+    outcome = np.array([[RUNNING, SUCCESS, RUNNING], [RUNNING, RUNNING, SUCCESS], [COLLISION, 0, 0], [0, 0, TIMEOUT]])
+    steps = np.array([2, 3, 1, 3])
+    played = np.arange(3) < steps[:, None]
+    gaps = np.where(played[..., None], np.arange(24.0).reshape(4, 3, 2), np.nan)
+    gaps[2, 0] = [-0.1, np.inf]
+    hollow = np.where(played, 0.0, np.nan)
+    step = Transition(hollow, np.zeros((4, 3, 2)), np.zeros((4, 3, 2)), hollow, gaps, outcome)
+    scenes = Scenes(
+        np.zeros((4, 3, 2)), np.ones((4, 3, 2)), environment=np.array(["1", "2", "2", "1"]), episode=[7, 8, 9, 10]
+    )
+    nowhere = np.zeros((4, 4, 3, 2))
+    return Record(scenes, Simulation(), steps, nowhere, nowhere, step, hollow, np.array([0.5, 0.3, -0.25, 0.0]))
+
+
+def test_metrics_of_a_record_made_by_hand():
+    result = metrics(hand_made_record())
+    assert (result["episodes"], result["success"], result["collision"], result["timeout"]) == (4, 0.5, 0.25, 0.25)
+    assert result["navigation_time"] == pytest.approx((0.5 + 0.75) / 2)
+    assert result["total_reward"] == pytest.approx(0.55 / 4)
+    assert result["intervals"]["collision"] == pytest.approx(wilson(1, 4))
+    assert result["failures"] == [
+        {"episode": 9, "environment": "2", "outcome": "collision"},
+        {"episode": 10, "environment": "1", "outcome": "timeout"},
+    ]
+    second = result["environments"]["2"]
+    assert (second["episodes"], second["success"], second["collision"], second["timeout"]) == (2, 0.5, 0.5, 0.0)
+    assert second["navigation_time"] == 0.75
+    assert json.loads(json.dumps(result)) == result
+
+
+def test_without_a_success_there_is_no_navigation_time():
+    record = hand_made_record().take(np.array([2, 3]))
+    assert metrics(record)["navigation_time"] is None
+    assert json.dumps(metrics(record)["navigation_time"]) == "null"
+
+
+def test_rows_for_a_csv_file():
+    rows = episode_rows(hand_made_record())
+    assert [row["episode"] for row in rows] == [7, 8, 9, 10]
+    assert rows[0] == {
+        "episode": 7,
+        "environment": "1",
+        "outcome": "success",
+        "steps": 2,
+        "time": 0.5,
+        "total_reward": 0.5,
+        "smallest_separation": 0.0,
+    }
+    assert rows[2]["smallest_separation"] == -0.1
+    lines = csv_text(rows).splitlines()
+    assert lines[0] == "episode,environment,outcome,steps,time,total_reward,smallest_separation"
+    assert len(lines) == 5
+    assert csv_text(rows[:1], header=False).startswith("7,1,success,2,0.5,0.5,")
+
+
+@pytest.mark.parametrize("mix", ["table1", "table2"])
+def test_the_environments_rows_add_up_to_the_whole(mix):
+    result, record = evaluate("orca", environment=mix, episodes=40)
+    parts = result["environments"].values()
+    assert sum(part["episodes"] for part in parts) == result["episodes"] == len(record.steps) == 40
+    for name in ("success", "collision", "timeout", "total_reward"):
+        whole = sum(part[name] * part["episodes"] for part in parts) / 40
+        assert result[name] == pytest.approx(whole)
+    succeeded = [part for part in parts if part["navigation_time"] is not None]
+    seconds = sum(part["navigation_time"] * part["success"] * part["episodes"] for part in succeeded)
+    assert result["navigation_time"] == pytest.approx(seconds / (result["success"] * 40))
+    assert len(result["failures"]) == round(40 * (1 - result["success"]))
+
+
+def test_one_environment_has_no_rows_of_its_own():
+    result, _ = evaluate("linear", environment="2", episodes=3)
+    assert "environments" not in result
+
+
+def test_the_reward_asked_for_is_the_total_reward_s():
+    sparse, record = evaluate("orca", environment="1", episodes=10)
+    dense, again = evaluate("orca", environment="1", episodes=10, reward=Reward(reward="sfm"))
+    np.testing.assert_array_equal(record.steps, again.steps)
+    assert dense["total_reward"] != sparse["total_reward"]
+    assert evaluate("orca", environment="1", episodes=10, reward="sfm")[0] == dense
+
+
+def test_orca_does_as_the_project_s_reading_says():
+    """About 0.75 success and 0.05 collisions in environment 1, about 0.32 success in environment 2."""
+    first, _ = evaluate("orca", environment="1", episodes=200)
+    second, _ = evaluate("orca", environment="2", episodes=200)
+    assert binomtest(round(200 * first["success"]), 200, 0.75).pvalue > 1e-3
+    assert binomtest(round(200 * first["collision"]), 200, 0.05).pvalue > 1e-3
+    assert binomtest(round(200 * second["success"]), 200, 0.32).pvalue > 1e-3

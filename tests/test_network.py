@@ -1,0 +1,256 @@
+"""The SARL network against CrowdNav's, what must not matter to its value, and files that are good, foreign or evil."""
+
+import io
+import pickle
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from conftest import DATA
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import nn
+
+from sfmrl.config import Config, ConfigError, make_config
+from sfmrl.evaluation import evaluate
+from sfmrl.files import DamagedFile
+from sfmrl.network import ValueNetwork, load_weights, save_weights
+from sfmrl.policies import load_policy
+from sfmrl.states import OWN, column_names
+
+
+@pytest.fixture(scope="module")
+def crowdnav() -> dict[str, np.ndarray]:
+    with np.load(DATA / "crowdnav_sarl.npz") as data:
+        return dict(data)
+
+
+@pytest.fixture(scope="module")
+def crowdnav_weights(crowdnav) -> dict[str, torch.Tensor]:
+    return {n.removeprefix("weights/"): torch.from_numpy(v) for n, v in crowdnav.items() if n.startswith("weights/")}
+
+
+def random_states(count: int, elements: int, forces: bool = False, seed: int = 0) -> np.ndarray:
+    """States (B, K, F) with the robot's own columns alike in every row of an episode."""
+    states = np.random.default_rng(seed).normal(size=(count, elements, len(column_names(forces)))).astype(np.float32)
+    own = len(OWN) + 2 * forces
+    states[..., :own] = states[:, :1, :own]
+    return states
+
+
+def test_value_and_attention_equal_crowdnav_s_with_its_weights(crowdnav, crowdnav_weights):
+    network = ValueNetwork()
+    network.load_state_dict(crowdnav_weights)
+    value, attention = network.evaluate(crowdnav["rotated"])
+    np.testing.assert_allclose(value, crowdnav["value"], rtol=0, atol=1e-5)
+    np.testing.assert_allclose(attention, crowdnav["attention"], rtol=0, atol=1e-5)
+
+
+def test_value_by_a_naive_loop_over_states_and_elements():
+    """The definition with torch's plain layers, one state and one element at a time; 17 columns, one absent element."""
+    network = ValueNetwork(forces=True, seed=5)
+    states = random_states(6, 4, forces=True)
+    states[2, 1, 8:] = np.nan
+    value, attention = network.evaluate(states)
+    for b in range(6):
+        rows = [torch.from_numpy(row) for row in states[b] if not np.isnan(row).any()]
+        with torch.no_grad():
+            hidden = [network.mlp1(row) for row in rows]
+            mean = sum(hidden) / len(hidden)
+            scores = torch.stack([network.attention(torch.cat((h, mean)))[0] for h in hidden])
+            share = scores.exp() / scores.exp().sum()
+            pooled = sum(s * network.mlp2(h) for s, h in zip(share, hidden, strict=True))
+            expected = network.mlp3(torch.cat((rows[0][:8], pooled)))[0]
+        assert value[b] == pytest.approx(float(expected), abs=1e-5)
+        here = [k for k in range(4) if (b, k) != (2, 1)]
+        np.testing.assert_allclose(attention[b, here], share, atol=1e-5)
+    assert attention[2, 1] == 0.0
+
+
+def test_the_prior_scales_the_value_by_the_distance_to_the_goal():
+    plain, prior = ValueNetwork(seed=1), ValueNetwork(value_prior=True, seed=1)
+    states = random_states(5, 3)
+    states[..., 0] = np.array([0.1, 0.3, 1.0, 4.0, 8.0], dtype=np.float32)[:, None]
+    expected = 0.9 ** np.maximum(states[:, 0, 0] - 0.3, 0) * (0.8 + plain.evaluate(states)[0])
+    np.testing.assert_allclose(prior.evaluate(states)[0], expected, rtol=1e-5, atol=1e-6)
+
+
+def test_layers_have_the_sizes_of_the_paper_s_base():
+    shapes = {name: tuple(value.shape) for name, value in ValueNetwork(forces=True).state_dict().items()}
+    weights = {name: shape for name, shape in shapes.items() if name.endswith("weight")}
+    assert list(weights.values()) == [
+        *[(150, 17), (100, 150)],
+        *[(100, 100), (50, 100)],
+        *[(100, 200), (100, 100), (1, 100)],
+        *[(150, 58), (100, 150), (100, 100), (1, 100)],
+    ]
+
+
+def test_parameters_come_from_the_seed_alone_and_lie_in_torch_s_own_range():
+    torch.manual_seed(3)
+    one = ValueNetwork(seed=7).state_dict()
+    torch.manual_seed(4)
+    again, other = ValueNetwork(seed=7).state_dict(), ValueNetwork(seed=8).state_dict()
+    for name, value in one.items():
+        assert torch.equal(value, again[name])
+        assert not torch.equal(value, other[name])
+    reference = nn.Linear(100, 150)
+    bound = reference.weight.abs().max()
+    assert float(one["mlp2.0.weight"].abs().max()) == pytest.approx(float(bound.detach()), rel=0.01)
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 1000), st.permutations(range(5)), st.booleans())
+def test_the_order_of_the_elements_does_not_matter(seed, order, forces):
+    network = ValueNetwork(forces)
+    states = random_states(4, 5, forces, seed)
+    states[1, 2, network.own :] = np.nan
+    value, attention = network.evaluate(states)
+    shuffled, shares = network.evaluate(np.ascontiguousarray(states[:, order]))
+    np.testing.assert_allclose(shuffled, value, atol=1e-5)
+    np.testing.assert_allclose(shares, attention[:, order], atol=1e-5)
+
+
+@pytest.mark.parametrize("forces", [False, True])
+def test_absent_elements_change_nothing(forces):
+    network = ValueNetwork(forces)
+    states = random_states(8, 3, forces)
+    padded = random_states(8, 6, forces, seed=1)
+    padded[:, :, : network.own] = states[:, :1, : network.own]
+    padded[:, [0, 2, 5]] = states
+    padded[:, [1, 3, 4], network.own :] = np.nan
+    value, attention = network.evaluate(states)
+    with_absent, shares = network.evaluate(padded)
+    np.testing.assert_allclose(with_absent, value, atol=1e-6)
+    np.testing.assert_allclose(shares[:, [0, 2, 5]], attention, atol=1e-6)
+    assert (shares[:, [1, 3, 4]] == 0).all()
+
+
+def test_a_robot_alone_still_knows_where_its_goal_is():
+    network = ValueNetwork()
+    states = random_states(8, 2)
+    states[:, :, network.own :] = np.nan
+    value, attention = network.evaluate(states)
+    assert np.isfinite(value).all()
+    assert len(np.unique(value)) == 8
+    assert (attention == 0).all()
+    assert network.evaluate(np.empty((0, 2, 13), dtype=np.float32))[0].shape == (0,)
+
+
+def test_without_any_row_for_elements_there_is_a_value_too():
+    value, attention = ValueNetwork(forces=True).evaluate(np.empty((3, 0, 17), dtype=np.float32))
+    assert value.shape == (3,)
+    assert np.isfinite(value).all()
+    assert attention.shape == (3, 0)
+
+
+@pytest.mark.parametrize(("forces", "elements"), [(False, 1), (False, 10), (True, 4)])
+def test_a_state_s_value_has_the_same_bits_whatever_shares_its_batch(forces, elements):
+    network = ValueNetwork(forces, value_prior=True)
+    states = random_states(700, elements, forces)
+    states[..., 0] = np.random.default_rng(1).uniform(0, 9, (700, 1))  # goal distances, in metres
+    values = network.evaluate(states)[0]
+    wanted = [(size, first) for size in (1, 2, 3, 7, 8, 31, 81, 162, 324, 511) for first in (0, 700 - size)]
+    wanted += [(81, first) for first in range(0, 600, 7)]
+    parts = {(size, first): network.evaluate(states[first : first + size])[0] for size, first in wanted}
+    differ = [at for at, part in parts.items() if not np.array_equal(part, values[at[1] : at[1] + at[0]])]
+    assert differ == []  # (size, first state)
+
+
+def test_absent_elements_of_one_state_do_not_change_the_bits_of_another():
+    network = ValueNetwork()
+    states = random_states(40, 10)
+    alone = network.evaluate(states)[0]
+    holes = states.copy()
+    holes[20:, 7:, network.own :] = np.nan
+    np.testing.assert_array_equal(network.evaluate(holes)[0][:20], alone[:20])
+
+
+def test_a_weights_file_gives_back_network_and_config(tmp_path):
+    config = make_config("paper", "sarl-sfm6", seed=9)
+    network = ValueNetwork(config.forces, config.value_prior, seed=9)
+    save_weights(network, config, tmp_path / "weights.pt")
+    loaded, read = load_weights(tmp_path / "weights.pt")
+    assert read == config
+    states = random_states(5, 4, forces=True)
+    np.testing.assert_array_equal(loaded.evaluate(states)[0], network.evaluate(states)[0])
+
+
+def test_a_plain_crowdnav_checkpoint_is_a_policy(tmp_path, crowdnav_weights):
+    path = tmp_path / "rl_model.pth"
+    torch.save(crowdnav_weights, path)
+    policy = load_policy(path)
+    assert policy.config.reward.reward == "crowd"
+    assert not policy.config.forces
+    result, record = evaluate(policy, environment="circle", episodes=2)
+    assert result["episodes"] == 2
+    assert result["success"] + result["collision"] + result["timeout"] == 1
+    assert (record.scenes.environment == "circle").all()
+
+
+class Evil:
+    """Pickled, this would create a file when it is loaded."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
+
+
+def saved(content: object) -> bytes:
+    file = io.BytesIO()
+    torch.save(content, file)
+    return file.getvalue()
+
+
+GOOD = {"weights": ValueNetwork().state_dict(), "config": Config().to_json()}
+FOREIGN = {
+    "empty": b"",
+    "text": b"no weights at all\n",
+    "cut in half": saved(GOOD)[: len(saved(GOOD)) // 2],
+    "a list": saved([1, 2, 3]),
+    "another dict": saved({"epoch": 3}),
+    "a tensor": saved(torch.zeros(3)),
+    "another network": saved(nn.Linear(13, 150).state_dict()),
+    "a layer too few": saved({n: v for n, v in GOOD["weights"].items() if n != "mlp3.6.bias"}),
+    "weights that are none": saved(GOOD | {"weights": 3}),
+    "a config that is no JSON": saved(GOOD | {"config": "seed = 0"}),
+    "a config that is no text": saved(GOOD | {"config": 5}),
+    "a config that is a list": saved(GOOD | {"config": "[1]"}),
+    "a config with an unknown setting": saved(GOOD | {"config": '{"sede": 1}'}),
+}
+
+
+@pytest.mark.parametrize("what", FOREIGN)
+def test_files_that_hold_no_sarl_network_are_named_in_one_line(tmp_path, what):
+    path = tmp_path / "some.pt"
+    path.write_bytes(FOREIGN[what])
+    with pytest.raises(ConfigError, match=r"some\.pt") as error:
+        load_policy(path)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.filterwarnings("ignore:Detected pickle protocol")
+@pytest.mark.parametrize("write", [pickle.dumps, saved], ids=["pickle", "torch"])
+def test_a_file_that_would_run_code_is_refused_and_does_not_run(tmp_path, write):
+    path, trace = tmp_path / "evil.pt", tmp_path / "trace"
+    path.write_bytes(write({"weights": Evil(trace), "config": "{}"}))
+    with pytest.raises(ConfigError, match=r"evil\.pt") as error:
+        load_policy(path)
+    assert not trace.exists()
+    assert "weights_only" not in str(error.value)  # torch's own text tells how to load it all the same
+
+
+def test_a_weights_file_that_differs_from_its_digest_is_damaged(tmp_path):
+    path = tmp_path / "weights.pt"
+    save_weights(ValueNetwork(), Config(), path)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(DamagedFile, match=re.escape(str(path))):
+        load_policy(path)
+    with pytest.raises(DamagedFile, match=re.escape(str(path))):
+        load_policy(tmp_path)

@@ -1,0 +1,106 @@
+"""What is built, and how the package is put together: the wheel, its dependencies, who imports whom."""
+
+import ast
+import importlib.util
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+
+import sfmrl
+
+# The house from the ground up: a file imports only from those before it.
+LEVELS = (
+    ("config", "geometry", "files", "progress"),
+    ("linear_programs", "polygons", "orca_polygons", "orca", "sfm", "states", "network"),
+    ("placement", "scenarios", "rewards", "crowd", "policies", "episodes"),
+    ("evaluation", "memory", "learning", "learner", "runs", "imitation", "reinforcement"),
+    ("canvas", "story", "timeline", "panel", "screen", "replay"),
+    ("options", "console", "cli"),
+)
+ORDER = [name for level in LEVELS for name in level]
+WITH_TORCH = {"network", "memory", "learning", "learner", "runs"}
+PACKAGE = sorted((ROOT / "sfmrl").glob("*.py"))
+FILES = [path for path in PACKAGE if path.stem not in ("__init__", "__main__")]
+
+
+def imports(path: Path, top_only: bool = False) -> set[str]:
+    """Full names of all that a file imports, "sfmrl.orca" for `from sfmrl import orca` too."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    found = set()
+    for node in tree.body if top_only else ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path.name} has a relative import"
+            inner = {f"sfmrl.{a.name}" for a in node.names if (ROOT / "sfmrl" / f"{a.name}.py").exists()}
+            found |= inner if node.module == "sfmrl" else {node.module}
+    return found
+
+
+def test_the_package_is_flat_and_every_file_has_its_place():
+    assert [path.name for path in (ROOT / "sfmrl").iterdir() if path.is_dir() and path.name != "__pycache__"] == []
+    assert {path.stem for path in FILES} == set(ORDER)
+    assert len(ORDER) == len(set(ORDER))
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_a_file_imports_only_from_files_before_it(path):
+    inner = {name.removeprefix("sfmrl.") for name in imports(path) if name.startswith("sfmrl.")}
+    assert inner <= set(ORDER[: ORDER.index(path.stem)])
+
+
+@pytest.mark.parametrize("path", PACKAGE, ids=lambda path: path.stem)
+def test_only_few_files_import_torch_and_none_click(path):
+    outer = {name.partition(".")[0] for name in imports(path, top_only=True)}
+    assert ("torch" in outer) == (path.stem in WITH_TORCH)
+    allowed = set(sys.stdlib_module_names) | {"sfmrl", "numpy", "torch", "typer", "rich"}
+    assert {name.partition(".")[0] for name in imports(path)} <= allowed
+
+
+@pytest.mark.parametrize("path", PACKAGE, ids=lambda path: path.stem)
+def test_a_file_says_what_it_is(path):
+    assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
+
+
+def test_importing_sfmrl_costs_nothing_and_every_name_it_promises_is_there():
+    code = (
+        "import sys, sfmrl\n"
+        "assert not {'numpy', 'torch', 'typer'} & set(sys.modules)\n"
+        "for name in sfmrl.__all__: assert getattr(sfmrl, name) is not None, name\n"
+        "try: sfmrl.nothing\n"
+        "except AttributeError as error: print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "module 'sfmrl' has no attribute 'nothing'"
+
+
+def test_the_wheel_holds_sfmrl_alone_and_asks_for_four_packages(tmp_path):
+    source = tmp_path / "source"
+    source.mkdir()
+    for name in ("pyproject.toml", "README.md", "LICENSE", "sfmrl.py"):
+        shutil.copy(ROOT / name, source)
+    for name in ("sfmrl", "tests", "tutorials"):
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__", "data"))
+    words = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--wheel-dir", tmp_path, source]
+    if importlib.util.find_spec("setuptools"):
+        words.append("--no-build-isolation")  # else pip fetches setuptools
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    (wheel,) = tmp_path.glob("sfmrl-*-py3-none-any.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        (metadata,) = (name for name in names if name.endswith("METADATA"))
+        lines = archive.read(metadata).decode().splitlines()
+    places = {name.partition("/")[0] for name in names}
+    assert places == {"sfmrl", metadata.partition("/")[0]}
+    assert {name for name in names if name.startswith("sfmrl/")} == {f"sfmrl/{path.name}" for path in PACKAGE}
+    assert f"Version: {sfmrl.__version__}" in lines
+    needed = [line.removeprefix("Requires-Dist: ") for line in lines if line.startswith("Requires-Dist: ")]
+    assert {name.partition(">")[0] for name in needed if "extra ==" not in name} == {"numpy", "torch", "typer", "rich"}
+    assert any(name.endswith("LICENSE") for name in names)

@@ -1,0 +1,329 @@
+"""Run folders: whole files, honest errors about damaged ones, and trainings that survive being killed, to the bit."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from conftest import environment
+
+from sfmrl.config import Config, ConfigError, make_config
+from sfmrl.files import SUMS, DamagedFile, read_checked, read_sums, write_atomically
+from sfmrl.imitation import DEMONSTRATIONS, imitate, load_demonstrations
+from sfmrl.network import load_weights
+from sfmrl.policies import WEIGHTS, load_policy
+from sfmrl.progress import no_progress
+from sfmrl.runs import Interrupted, Run, StopSignal, create_run, newest_run, open_run, run_folders
+
+TINY = make_config(imitation={"episodes": 10, "epochs": 3}, simulation={"time_limit": 14.0})
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    """A finished imitation run; tests that damage it work on a copy."""
+    run = create_run("il", TINY, tmp_path_factory.mktemp("finished") / "run")
+    imitate(run, no_progress, StopSignal())
+    return run.folder
+
+
+@pytest.fixture
+def folder(finished, tmp_path) -> Path:
+    return Path(shutil.copytree(finished, tmp_path / "run"))
+
+
+def flip_a_bit(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 16
+    path.write_bytes(data)
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
+    path = tmp_path / "numbers"
+    write_atomically(path, lambda file: file.write(b"one"))
+
+    def fail(file) -> None:
+        file.write(b"tw")
+        raise RuntimeError("no space left")
+
+    with pytest.raises(RuntimeError):
+        write_atomically(path, fail)
+    assert read_checked(path) == b"one"
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([SUMS, "numbers"])
+
+
+def test_what_is_written_is_whole_even_if_the_writer_is_killed(tmp_path):
+    path = tmp_path / "large"
+    write_atomically(path, lambda file: file.write(b"old"))
+    code = (
+        "import os, pathlib, sys; from sfmrl.files import write_atomically\n"
+        "def write(file): file.write(b'n' * 100_000); file.flush(); os.kill(os.getpid(), 9)\n"
+        "write_atomically(pathlib.Path(sys.argv[1]), write)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, path], env=environment(), check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert read_checked(path) == b"old"
+
+
+def test_read_checked_names_the_file_and_its_sums(tmp_path):
+    path = tmp_path / "numbers"
+    path.write_bytes(b"one")
+    with pytest.raises(DamagedFile, match=r"numbers has no SHA-256"):
+        read_checked(path)
+    write_atomically(path, lambda file: file.write(b"one"))
+    flip_a_bit(path)
+    with pytest.raises(DamagedFile, match=r"numbers is damaged"):
+        read_checked(path)
+
+
+def checked_by_sha256sum(folder: Path) -> bool:
+    done = subprocess.run(["sha256sum", "--quiet", "-c", SUMS], cwd=folder, capture_output=True, check=False)
+    return done.returncode == 0
+
+
+@pytest.mark.skipif(shutil.which("sha256sum") is None, reason="needs the command sha256sum")
+def test_sha256sum_can_check_a_finished_run_folder(folder):
+    assert {"config.json", "run.json", DEMONSTRATIONS, WEIGHTS} <= set(read_sums(folder))
+    assert len(list(folder.glob("checkpoint-*.pt"))) == 2  # of three epochs: the first one's is gone
+    assert checked_by_sha256sum(folder)
+    flip_a_bit(folder / WEIGHTS)
+    assert not checked_by_sha256sum(folder)
+
+
+def test_a_finished_run_opens_with_its_config_and_facts(folder):
+    run = open_run(folder, "il")
+    assert run.finished
+    assert run.config == TINY
+    assert {"kind", "variant", "created", "command", "versions"} <= set(run.facts)
+    assert (folder / "metrics.csv").read_text().splitlines()[0] == "epoch,loss"
+    assert len((folder / "metrics.csv").read_text().splitlines()) == 4
+
+
+@pytest.mark.parametrize("name", ["config.json", "run.json"])
+def test_a_damaged_config_or_run_json_is_named(folder, name):
+    flip_a_bit(folder / name)
+    with pytest.raises(DamagedFile, match=rf"{name} is damaged"):
+        open_run(folder)
+
+
+def test_damaged_weights_are_named(folder):
+    flip_a_bit(folder / WEIGHTS)
+    for load in (load_policy, lambda path: load_weights(path / WEIGHTS)):
+        with pytest.raises(DamagedFile, match=rf"{WEIGHTS} is damaged"):
+            load(folder)
+
+
+def test_damaged_demonstrations_are_named(folder):
+    flip_a_bit(folder / DEMONSTRATIONS)
+    with pytest.raises(DamagedFile, match=rf"{DEMONSTRATIONS} is damaged"):
+        load_demonstrations(folder / DEMONSTRATIONS, TINY.simulation)
+    with pytest.raises(DamagedFile, match=rf"{DEMONSTRATIONS} is damaged"):
+        imitate(open_run(folder), no_progress, StopSignal())
+
+
+def test_a_damaged_checkpoint_is_named_and_the_one_before_offered(folder):
+    older, newest = open_run(folder).checkpoints()
+    flip_a_bit(newest)
+    with pytest.raises(DamagedFile, match=rf"{newest.name} is damaged.*delete it to go on from {older.name}"):
+        open_run(folder).load_checkpoint()
+    newest.unlink()
+    assert open_run(folder).load_checkpoint()["fit"]["epoch"] == 2
+    flip_a_bit(older)
+    with pytest.raises(DamagedFile, match="delete it to start this run anew"):
+        open_run(folder).load_checkpoint()
+
+
+def test_damaged_sums_are_an_error_too(folder):
+    (folder / SUMS).write_bytes(b"\xff\xfe\x00 not text")
+    with pytest.raises(DamagedFile, match=SUMS):
+        open_run(folder)
+
+
+def test_a_damaged_checkpoint_can_be_gone_around_to_the_same_bits(folder, finished):
+    run = open_run(folder)
+    (folder / WEIGHTS).unlink()
+    run.checkpoints()[-1].unlink()
+    imitate(run, no_progress, StopSignal())
+    assert (folder / WEIGHTS).read_bytes() == (finished / WEIGHTS).read_bytes()
+    assert (folder / "metrics.csv").read_text() == (finished / "metrics.csv").read_text()
+
+
+def test_stopping_keeps_a_checkpoint_and_raises(tmp_path, finished):
+    run = create_run("il", TINY, tmp_path / "run")
+    stop = StopSignal()
+    stop.requested = True
+    for epoch in (1, 2, 3):
+        with pytest.raises(Interrupted):
+            imitate(run, no_progress, stop)
+        assert run.load_checkpoint()["fit"]["epoch"] == epoch
+        assert not run.finished
+    imitate(run, no_progress, stop)
+    assert (run.folder / WEIGHTS).read_bytes() == (finished / WEIGHTS).read_bytes()
+
+
+def test_the_first_signal_is_a_request_and_the_second_acts_at_once():
+    before = signal.getsignal(signal.SIGTERM)
+    with StopSignal() as stop:
+        assert not stop.requested
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert stop.requested
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGTERM)
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_new_runs_are_named_by_kind_variant_and_seed_and_never_reused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = [create_run("rl", make_config(variant="sarl-sfm6", seed=4), None, imitation=None).folder for _ in range(3)]
+    assert [str(name) for name in names] == [f"runs/rl-sarl-sfm6-seed4{end}" for end in ("", "-2", "-3")]
+    own = make_config(reward={"reward": "my.py:hurry"}, forces=True)
+    assert create_run("il", own, None).folder.name == "il-custom-hurry-forces-seed0"
+    assert set(run_folders("rl")) == set(names)
+    assert len(run_folders()) == 4
+    with pytest.raises(ConfigError, match=r"no finished run.*sfmrl il"):
+        newest_run()
+    torch.save({}, names[1] / WEIGHTS)
+    assert newest_run() == names[1]
+
+
+def test_only_a_run_or_an_empty_folder_is_ever_replaced(tmp_path):
+    empty, run, other = tmp_path / "empty", tmp_path / "run", tmp_path / "other"
+    empty.mkdir()
+    assert create_run("il", Config(), empty).folder == empty
+    create_run("il", Config(), run)
+    (run / "weights.pt").write_bytes(b"trained")
+    with pytest.raises(ConfigError, match=r"there already.*--overwrite"):
+        create_run("il", Config(), run)
+    assert (run / "weights.pt").exists()
+    create_run("il", Config(), run, overwrite=True)
+    assert not (run / "weights.pt").exists()
+
+    other.mkdir()
+    (other / "thesis.tex").write_text("years of work")
+    for overwrite in (False, True):
+        with pytest.raises(ConfigError, match="other"):
+            create_run("il", Config(), other, overwrite=overwrite)
+    assert (other / "thesis.tex").read_text() == "years of work"
+    with pytest.raises(ConfigError, match="thesis"):
+        create_run("il", Config(), other / "thesis.tex", overwrite=True)
+
+
+def test_a_folder_with_somebody_else_s_run_json_is_not_replaced(tmp_path):
+    (tmp_path / "run.json").write_text('{"pipeline": "not ours"}')
+    (tmp_path / "data.csv").write_text("1,2,3")
+    with pytest.raises(ConfigError):
+        create_run("il", Config(), tmp_path, overwrite=True)
+    assert (tmp_path / "data.csv").exists()
+
+
+def test_opening_what_is_no_run_names_those_that_are(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    known = create_run("il", Config(), None).folder
+    with pytest.raises(ConfigError, match=f"nothing does not exist; known runs: {known}"):
+        open_run(Path("nothing"))
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ConfigError, match="empty is not a run folder"):
+        open_run(Path("empty"))
+    with pytest.raises(ConfigError, match="is a run of sfmrl il, not of sfmrl rl"):
+        open_run(known, "rl")
+    (known.parent / "broken").mkdir()
+    (known.parent / "broken" / "run.json").write_text("{")
+    assert run_folders() == [known]
+
+
+def test_checkpoints_number_on_and_only_two_are_kept(tmp_path):
+    run: Run = create_run("il", Config(), tmp_path / "run")
+    assert run.load_checkpoint() is None
+    for number in range(4):
+        run.save_checkpoint({"number": number})
+    assert [path.name for path in run.checkpoints()] == ["checkpoint-000003.pt", "checkpoint-000004.pt"]
+    assert run.load_checkpoint() == {"number": 3}
+
+
+# Trainings as real processes, killed at several moments: they must end in the bits of one that never was.
+
+SMALL = ["--time-limit", "14"]
+IL = [*SMALL, "--episodes", "30", "--epochs", "14", "--batch-size", "20"]
+RL = [*SMALL, "--reward", "sfm", "--episodes", "24", "--parallel", "4", "--batches", "10", "--batch-size", "40"]
+RL += ["--validation-interval", "12", "--validation-episodes", "3", "--test-episodes", "4"]
+
+
+def command(*words: object) -> list[str]:
+    return [sys.executable, "-m", "sfmrl", *map(str, words)]
+
+
+def complete(cwd: Path, *words: object) -> None:
+    done = subprocess.run(command(*words), cwd=cwd, env=environment(), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def interrupt(cwd: Path, number: signal.Signals, moment: Callable[[], bool], *words: object) -> None:
+    """Start a training, send it a signal once `moment` has come, and wait for its end."""
+    process = subprocess.Popen(command(*words), cwd=cwd, env=environment(), stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 120
+    while not moment():
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+    process.send_signal(number)
+    said = process.communicate(timeout=120)[1]
+    if number == signal.SIGKILL:
+        assert process.returncode == -signal.SIGKILL
+    else:
+        assert process.returncode == 130, said
+        assert f"--resume {words[words.index('--run' if '--run' in words else '--resume') + 1]}" in said
+
+
+def checkpoint_of_at_least(folder: Path, number: int) -> Callable[[], bool]:
+    return lambda: any(int(path.stem[-6:]) >= number for path in folder.glob("checkpoint-*.pt"))
+
+
+def lines_of_at_least(path: Path, lines: int) -> Callable[[], bool]:
+    return lambda: path.exists() and len(path.read_text().splitlines()) >= lines
+
+
+def assert_same_results(one: Path, other: Path, names: list[str]) -> None:
+    for name in names:
+        assert (one / name).read_bytes() == (other / name).read_bytes(), name
+
+
+@pytest.fixture(scope="module")
+def workshop(tmp_path_factory) -> Path:
+    """A folder with an imitation run `il` that was never interrupted."""
+    folder = tmp_path_factory.mktemp("workshop")
+    complete(folder, "il", *IL, "--run", "il", "--threads", 1)
+    return folder
+
+
+def test_a_killed_imitation_goes_on_to_the_same_bits(workshop):
+    killed = workshop / "il-killed"
+    start, go_on = ("il", *IL, "--run", "il-killed"), ("il", "--resume", "il-killed")
+    interrupt(workshop, signal.SIGKILL, (killed / "run.json").exists, *start)
+    interrupt(workshop, signal.SIGTERM, (killed / DEMONSTRATIONS).exists, *go_on)
+    interrupt(workshop, signal.SIGINT, checkpoint_of_at_least(killed, 3), *go_on)
+    interrupt(workshop, signal.SIGKILL, checkpoint_of_at_least(killed, 6), *go_on)
+    complete(workshop, *go_on)
+    assert_same_results(workshop / "il", killed, [WEIGHTS, DEMONSTRATIONS, "metrics.csv", "config.json"])
+
+
+def test_a_killed_reinforcement_goes_on_to_the_same_bits(workshop):
+    whole, killed = workshop / "rl", workshop / "rl-killed"
+    complete(workshop, "rl", *RL, "--from", "il", "--run", "rl", "--threads", 1)
+    start, go_on = ("rl", *RL, "--from", "il", "--run", "rl-killed"), ("rl", "--resume", "rl-killed")
+    metrics = killed / "metrics.csv"
+    interrupt(workshop, signal.SIGINT, checkpoint_of_at_least(killed, 2), *start)  # while refitting to the reward
+    interrupt(workshop, signal.SIGKILL, checkpoint_of_at_least(killed, 6), *go_on)
+    interrupt(workshop, signal.SIGTERM, lines_of_at_least(metrics, 5), *go_on)
+    interrupt(workshop, signal.SIGKILL, lines_of_at_least(killed / "validation.csv", 3), *go_on)
+    complete(workshop, *go_on)
+    assert_same_results(whole, killed, [WEIGHTS, "metrics.csv", "validation.csv", "result.json", "config.json"])
+    assert len(metrics.read_text().splitlines()) == 25
+    assert len((killed / "validation.csv").read_text().splitlines()) == 4
+    facts = json.loads((killed / "run.json").read_text())
+    assert (facts["kind"], facts["imitation"]) == ("rl", "il")

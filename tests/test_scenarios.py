@@ -1,0 +1,293 @@
+"""The environments obey every rule of the paper's text, and an episode is the same wherever it is sampled."""
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import binomtest
+
+from sfmrl.config import ConfigError
+from sfmrl.geometry import length
+from sfmrl.scenarios import ENVIRONMENTS, Scenes, parse_mix, sample_scenes
+
+EPISODES = 300
+PAPER = ("1", "2", "3", "4", "5")
+PHASES = ("train", "validation", "test", "imitation")
+BARRIER = [(-0.6, 0.0), (0.0, 0.0), (0.6, 0.0), (-0.6, -0.6), (0.6, -0.6)]
+
+
+@pytest.fixture(scope="module")
+def scenes() -> dict[str, Scenes]:
+    return {name: sample_scenes(name, EPISODES, seed=3) for name in ENVIRONMENTS}
+
+
+def places(scene: Scenes, e: int) -> tuple[np.ndarray, np.ndarray]:
+    """Indices of one episode's people and squares."""
+    return np.flatnonzero(~scene.square[e])[1:], np.flatnonzero(scene.square[e])
+
+
+def distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    return length(points[:, None] - others[None])
+
+
+@pytest.mark.parametrize("name", [*PAPER, "circle"])
+def test_the_robot_crosses_from_south_to_north_among_ten_elements_alike(scenes, name):
+    scene = scenes[name]
+    assert scene.start.shape == scene.goal.shape == (EPISODES, 11, 2)
+    assert np.isfinite(scene.start).all()
+    assert np.isfinite(scene.goal).all()
+    np.testing.assert_array_equal(scene.start[:, 0], np.tile([0.0, -4.0], (EPISODES, 1)))
+    np.testing.assert_array_equal(scene.goal[:, 0], np.tile([0.0, 4.0], (EPISODES, 1)))
+    assert (scene.radius == 0.3).all()
+    assert (scene.v_pref == 1.0).all()
+    assert not scene.square[:, 0].any()
+
+
+@pytest.mark.parametrize(("name", "squares"), [("2", 5), ("3", 5), ("4", 5), ("5", 10), ("circle", 0)])
+def test_so_many_squares_after_the_people(scenes, name, squares):
+    expected = np.arange(11) > 10 - squares
+    np.testing.assert_array_equal(scenes[name].square, np.tile(expected, (EPISODES, 1)))
+
+
+@pytest.mark.parametrize("name", [*PAPER, "circle"])
+def test_squares_rest_where_they_stand(scenes, name):
+    scene = scenes[name]
+    np.testing.assert_array_equal(scene.goal[scene.square], scene.start[scene.square])
+
+
+@pytest.mark.parametrize("name", ["1", "2", "3", "4", "circle"])
+def test_people_start_near_the_circle_and_want_to_reach_the_opposite_point(scenes, name):
+    scene = scenes[name]
+    people = ~scene.square
+    people[:, 0] = False
+    np.testing.assert_array_equal(scene.goal[people], -scene.start[people])
+    # Each start lies in a square of side 1 m about a point of the circle of radius 4 m.
+    x, y = np.abs(scene.start[people]).T
+    nearest = np.hypot(np.maximum(x - 0.5, 0), np.maximum(y - 0.5, 0))
+    farthest = np.hypot(x + 0.5, y + 0.5)
+    assert (nearest <= 4.0 + 1e-9).all()
+    assert (farthest >= 4.0 - 1e-9).all()
+    off = length(scene.start[people]) - 4.0
+    assert off.min() < -0.4  # the noise is used up to its ends
+    assert off.max() > 0.4
+
+
+@pytest.mark.parametrize("name", ["1", "2", "3", "4", "circle"])
+def test_people_keep_clear_of_every_start_and_goal(scenes, name):
+    scene = scenes[name]
+    for e in range(EPISODES):
+        people, squares = places(scene, e)
+        agents = np.concatenate(([0], people))
+        for points in (scene.start[e, people], scene.goal[e, people]):
+            for there in (scene.start[e, agents], scene.goal[e, agents]):
+                apart = distances(points, there)
+                own = people[:, None] == agents[None]
+                assert (apart[~own] >= 0.8 - 1e-12).all()  # two radii and 0.2 m
+            assert (distances(points, scene.start[e, squares]) >= 0.8 - 1e-12).all()
+
+
+def test_environment_1_separate_squares_in_the_disc_0_9_m_clear(scenes):
+    scene = scenes["1"]
+    reach = length(scene.start[scene.square])
+    assert reach.max() <= 3.2
+    assert np.mean(reach < 3.2 / np.sqrt(2)) == pytest.approx(0.5, abs=0.12)  # about uniform in the disc
+    for e in range(EPISODES):
+        people, squares = places(scene, e)
+        centres, agents = scene.start[e, squares], np.concatenate(([0], people))
+        for there in (scene.start[e, agents], scene.goal[e, agents]):
+            assert (distances(centres, there) >= 0.9 - 1e-12).all()
+        between = distances(centres, centres)
+        assert (between[~np.eye(len(squares), dtype=bool)] >= 0.9 - 1e-12).all()
+
+
+def test_environment_1_people_have_a_share_of_0_6():
+    square = sample_scenes("1", 1000, seed=11).square[:, 1:]
+    assert binomtest(int((~square).sum()), square.size, 0.6).pvalue > 1e-3
+    assert (~square).sum(1).std() == pytest.approx(np.sqrt(10 * 0.6 * 0.4), rel=0.1)  # each element on its own
+    assert (np.diff(square.astype(int), axis=1) >= 0).all()  # people before squares
+
+
+def test_environment_2_the_barrier_is_fixed(scenes):
+    np.testing.assert_allclose(scenes["2"].start[:, 6:], np.tile(BARRIER, (EPISODES, 1, 1)), atol=1e-12)
+
+
+def test_environment_3_the_same_barrier_somewhere_in_the_middle(scenes):
+    squares = scenes["3"].start[:, 6:]
+    centre = squares[:, 1]
+    np.testing.assert_allclose(squares - centre[:, None], np.tile(BARRIER, (EPISODES, 1, 1)), atol=1e-12)
+    assert (np.abs(centre) <= 1.5).all()
+    assert (np.abs(centre).max(0) > 1.4).all()
+    np.testing.assert_allclose(centre.mean(0), 0.0, atol=0.2)
+
+
+def row_of(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centres (E, 2) of rows of touching squares (E, P, 2), and which lie along x; checks that they are rows."""
+    steps = np.diff(squares, axis=1)
+    flat = np.isclose(steps[..., 0], 0.6) & np.isclose(steps[..., 1], 0.0)
+    upright = np.isclose(steps[..., 0], 0.0) & np.isclose(steps[..., 1], 0.6)
+    assert (flat.all(1) | upright.all(1)).all()
+    return squares.mean(1), flat[:, 0]
+
+
+@pytest.mark.parametrize("name", ["4", "5"])
+def test_environments_4_and_5_rows_of_three_and_two_without_overlap(scenes, name):
+    start = scenes[name].start
+    for rows in (slice(6, 9), slice(9, 11)):
+        centre, flat = row_of(start[:, rows])
+        assert (np.abs(centre) <= 1.5 + 1e-9).all()
+        assert (np.abs(centre).max(0) > 1.4).all()
+        assert 0.35 < flat.mean() < 0.65
+    squares = start[:, 6:] if name == "4" else start[:, 1:]
+    apart = np.abs(squares[:, :, None] - squares[:, None]).max(-1)
+    pairs = ~np.eye(squares.shape[1], dtype=bool)
+    assert (apart[:, pairs] >= 0.6 - 1e-9).all()  # squares of side 0.6 m overlap if nearer than that in x and y
+
+
+def test_environment_5_has_the_barrier_of_environment_3_and_nobody(scenes):
+    start = scenes["5"].start
+    np.testing.assert_allclose(
+        start[:, 1:6] - start[:, 2:3], np.tile(BARRIER, (EPISODES, 1, 1)), atol=1e-12, err_msg="shape"
+    )
+    assert (np.abs(start[:, 2]) <= 1.5).all()
+    assert scenes["5"].square[:, 1:].all()
+
+
+@pytest.mark.parametrize("people", [0, 5, 20])
+def test_circle_with_any_number_of_people(people):
+    radius = 4.0 if people < 20 else 8.0
+    scene = sample_scenes("circle", 20, humans=people, circle=radius)
+    assert scene.start.shape == (20, people + 1, 2)
+    assert not scene.square.any()
+    if people:
+        assert (np.abs(length(scene.start[:, 1:]) - radius) <= 0.5 * np.sqrt(2) + 1e-9).all()
+
+
+def test_table_1_mixes_environments_1_and_2_seven_to_three():
+    names = sample_scenes("table1", 2000, seed=5).environment
+    assert set(names) == {"1", "2"}
+    assert binomtest(int((names == "1").sum()), 2000, 0.7).pvalue > 1e-3
+
+
+def test_table_2_mixes_environments_2_to_5_in_quarters():
+    names = sample_scenes("table2", 2000, seed=5).environment
+    assert set(names) == {"2", "3", "4", "5"}
+    for name in "2345":
+        assert binomtest(int((names == name).sum()), 2000, 0.25).pvalue > 1e-3
+
+
+def same_scenes(one: Scenes, other: Scenes) -> bool:
+    return all(
+        np.array_equal(getattr(one, name), getattr(other, name), equal_nan=name in ("start", "goal"))
+        for name in ("start", "goal", "square", "radius", "v_pref", "environment", "episode")
+    )
+
+
+@given(st.lists(st.integers(0, 60), min_size=1, max_size=12), st.sampled_from(["1", "4", "5", "table1", "table2"]))
+def test_an_episode_is_the_same_whatever_is_sampled_with_it(numbers, environment):
+    whole = sample_scenes(environment, 61, seed=2)
+    assert same_scenes(sample_scenes(environment, numbers, seed=2), whole.take(np.array(numbers)))
+
+
+def test_a_mix_holds_the_scenes_of_its_environments():
+    mix = sample_scenes("table1", 40)
+    for name in "12":
+        mine = mix.environment == name
+        assert mine.any()
+        assert same_scenes(mix.take(mine), sample_scenes(name, 40).take(mine))
+
+
+def test_phases_and_seeds_never_share_a_scene():
+    seen = [sample_scenes("1", 100, seed=seed, phase=phase).start[:, 1] for phase in PHASES for seed in (0, 1)]
+    places = np.concatenate(seen)
+    assert len(np.unique(places, axis=0)) == len(places)
+
+
+@pytest.mark.parametrize(
+    ("call", "remedy"),
+    [
+        (lambda: sample_scenes("6", 1), "choose 1, 2, 3, 4, 5, circle, table1, table2"),
+        (lambda: sample_scenes("tabel1", 1), "did you mean table1"),
+        (lambda: sample_scenes("1:0.7,2:0.2", 1), "add up to 1, as in 1:0.7,2:0.3"),
+        (lambda: sample_scenes("1:half,2:0.5", 1), "share of environment 1 is 'half'; it must be a number"),
+        (lambda: sample_scenes("1:nan", 1), "from 0 to 1"),
+        (lambda: sample_scenes("1", 1, phase="tset"), "did you mean test"),
+        (lambda: sample_scenes("1", [-1]), "counted from 0"),
+        (lambda: sample_scenes("circle", 1, humans=60), "fewer people or a larger circle"),
+    ],
+)
+def test_errors_name_the_remedy(call, remedy):
+    with pytest.raises(ConfigError, match=re.escape(remedy)):
+        call()
+
+
+def test_parse_mix_keeps_the_order_and_adds_up_repeats():
+    assert parse_mix("3") == {"3": 1.0}
+    assert list(parse_mix("5:0.5, 2:0.5")) == ["5", "2"]
+    assert parse_mix("1:0.25,2:0.5,1:0.25") == {"1": 0.5, "2": 0.5}
+
+
+def test_polygons_are_counter_clockwise_squares_about_their_centres(scenes):
+    scene = scenes["1"]
+    polygons = scene.polygons
+    for e in range(EPISODES):
+        _, squares = places(scene, e)
+        assert np.isnan(polygons[e, len(squares) :]).all()
+        corners = polygons[e, : len(squares)]
+        np.testing.assert_allclose(corners.mean(1), scene.start[e, squares], atol=1e-12)
+        edges = np.roll(corners, -1, axis=1) - corners
+        np.testing.assert_allclose(length(edges), 0.6)
+        following = np.roll(edges, -1, axis=1)
+        turn = edges[..., 0] * following[..., 1] - edges[..., 1] * following[..., 0]
+        np.testing.assert_allclose(turn, 0.36)  # a left turn by 90 degrees at every corner
+        assert (np.isclose(edges, 0.0).sum(-1) == 1).all()  # sides along x and y
+
+
+def test_polygons_of_squares_of_other_sizes_and_of_none():
+    start, goal = [[[0, -4], [1, 1], [2, 2]]], [[[0, 4], [0, 0], [0, 0]]]
+    scene = Scenes(start, goal, radius=[0.3, 0.3, 0.5], square=[False, False, True])
+    np.testing.assert_allclose(scene.polygons[0, 0], [[1.5, 1.5], [2.5, 1.5], [2.5, 2.5], [1.5, 2.5]])
+    assert Scenes([[[0, -4]]], [[[0, 4]]]).polygons.shape[:2] == (1, 0)
+
+
+def test_scenes_broadcast_their_numbers_and_put_a_square_s_goal_at_its_place():
+    scene = Scenes(np.zeros((2, 3, 2)), np.ones((2, 3, 2)), radius=[0.3, 0.4, 0.5], square=[False, False, True])
+    np.testing.assert_array_equal(scene.radius, [[0.3, 0.4, 0.5]] * 2)
+    np.testing.assert_array_equal(scene.goal[:, 2], scene.start[:, 2])
+    assert list(scene.episode) == [0, 1]
+    assert list(scene.environment) == ["own", "own"]
+    assert len(scene.take(slice(1, 2))) == 1
+
+
+START, GOAL = np.zeros((2, 3, 2)), np.ones((2, 3, 2))
+HOLE = np.where(np.arange(3)[None, :, None] == 1, np.nan, START)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"start": np.zeros((3, 2)), "goal": np.zeros((3, 2))}, "start has shape (3, 2)"),
+        ({"start": np.zeros((2, 0, 2)), "goal": np.zeros((2, 0, 2))}, "start has shape (2, 0, 2)"),
+        ({"start": START, "goal": GOAL[:1]}, "goal has shape (1, 3, 2); it must be that of start"),
+        ({"start": START, "goal": GOAL, "radius": np.ones((3, 2))}, "radius has shape (3, 2)"),
+        ({"start": START, "goal": GOAL, "radius": 0.0}, "radius must be above 0"),
+        ({"start": START, "goal": GOAL, "v_pref": -1.0}, "v_pref not below 0"),
+        ({"start": START, "goal": GOAL, "v_pref": np.nan}, "v_pref not below 0"),
+        ({"start": START, "goal": GOAL, "square": True}, "row 0, which is the robot"),
+        ({"start": HOLE[:, [1, 0, 2]], "goal": GOAL}, "row 0 must not be NaN"),
+        ({"start": START, "goal": GOAL * np.inf}, "finite"),
+        ({"start": START, "goal": HOLE}, "finite"),
+    ],
+)
+def test_scenes_refuse_what_cannot_be_played(arguments, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        Scenes(**arguments)
+
+
+def test_a_row_without_a_start_is_absent():
+    scene = Scenes(HOLE, HOLE)
+    assert np.isnan(scene.start[:, 1]).all()
+    half = START.copy()
+    half[:, 1, 1] = np.nan  # one coordinate is as good as none
+    assert np.isnan(Scenes(half, GOAL).start[:, 1]).all()
