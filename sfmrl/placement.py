@@ -9,14 +9,13 @@ from collections.abc import Callable
 import numpy as np
 
 from sfmrl.config import ConfigError
-from sfmrl.geometry import length
 
 RADIUS, V_PREF, SIDE = 0.3, 1.0, 0.6  # m, m/s, m: every disc, every preferred speed, every square
 CIRCLE, NOISE = 4.0, 0.5  # m: people start on this circle, moved by up to so much in x and in y
 GAP = 0.2  # m: between a person's disc and every start and goal
 SQUARE_GAP = 0.9  # m: from a square's centre to every other centre, start and goal
 SQUARE_REACH = 3.2  # m: environment 1's squares lie in this disc
-ATTEMPTS = 16  # proposals drawn at a time for one place
+ATTEMPTS = 4  # proposals drawn at a time for one place
 
 # Squares' centres relative to the group's own, m: the barrier is open towards the robot, which comes from below.
 BARRIER = np.array([[-0.6, 0.0], [0.0, 0.0], [0.6, 0.0], [-0.6, -0.6], [0.6, -0.6]])
@@ -110,10 +109,13 @@ class Builder:
 
     def _clear(self, places: np.ndarray, episodes: np.ndarray, least: np.ndarray) -> np.ndarray:
         """Which proposals (n, T, P, 2) keep `least` (n, N) m from every start and goal there: (n, T)."""
+        taken = np.flatnonzero(~np.isnan(self.start[episodes, :, 0]).all(0))  # rows that anybody has yet
         fits = np.ones(places.shape[:2], dtype=bool)
-        for there in (self.start[episodes], self.goal[episodes]):
-            apart = length(places[:, :, :, None, :] - there[:, None, None])  # (n, T, P, N); NaN: nobody there
-            fits &= ~(apart < least[:, None, None]).any((2, 3))
+        for points in (self.start, self.goal):
+            there = points[episodes[:, None], taken]
+            x = places[..., None, 0] - there[:, None, None, :, 0]  # (n, T, P, rows); NaN: nobody there
+            y = places[..., None, 1] - there[:, None, None, :, 1]
+            fits &= ~(x * x + y * y < (least * least)[:, None, None, taken]).any((2, 3))
         return fits
 
     def _first(self, which: np.ndarray, draws: int, propose: Callable, fits: Callable, what: str) -> np.ndarray:

@@ -73,6 +73,7 @@ class Scenes:
         if not (made["radius"] > 0).all() or not (made["v_pref"] >= 0).all():
             raise ValueError("radius must be above 0 m and v_pref not below 0 m/s")
         goal[made["square"]] = start[made["square"]]
+        start[absent] = goal[absent] = np.nan
         for name, value in made.items():
             object.__setattr__(self, name, value)
 

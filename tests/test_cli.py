@@ -12,6 +12,7 @@ import pytest
 from conftest import ROOT, environment
 
 from sfmrl.cli import main
+from sfmrl.config import make_config
 
 Call = Callable[..., subprocess.CompletedProcess]
 TINY_IL = ("--episodes", "6", "--epochs", "2")
@@ -228,7 +229,13 @@ def test_help_answers_without_numpy_or_torch(command):
 
 def test_help_shows_the_config_s_own_defaults(sfmrl: Call):
     text = re.sub(r"[\s│]+", " ", sfmrl("rl", "--help").stdout)
-    for words in ("default 0.001", "paper 10000, quick 2000", "paper off, quick on", "(orca | sfm)", "(td | returns)"):
+    paper, quick = (make_config(preset).reinforcement for preset in ("paper", "quick"))
+    for words in (
+        f"training episodes (paper {paper.episodes}, quick {quick.episodes})",
+        f"learning rate (paper {paper.learning_rate:g}, quick {quick.learning_rate:g})",
+        f"episodes between validations (default {paper.validation_interval})",
+        "what drives the humans (orca | sfm) (default orca)",
+    ):
         assert words in text
 
 

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sfmrl.config import Config, ConfigError, Reward, Simulation
+from sfmrl.crowd import reset
 from sfmrl.episodes import Record, play, play_episodes, returns_of
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import ACTIONS, SarlPolicy, load_policy
@@ -112,6 +113,17 @@ def test_a_network_takes_the_action_of_highest_reward_plus_discounted_value_of_w
         off = action - way / np.hypot(*way)
         reward = 0.001 - 0.001 * np.hypot(*off) / 2 - 0.0001 * np.hypot(*(way - 0.25 * action))
         assert look.values[0, a] == pytest.approx(reward + 0.8**0.25 * value, abs=1e-6)
+
+
+def test_a_network_finds_its_way_alone_as_among_absent_people():
+    config = Config(value_prior=True)
+    policy = SarlPolicy(ValueNetwork(value_prior=True), config)
+    empty = Scenes([[[0, -2]]], [[[0, 2]]])
+    hole = Scenes([[[0, -2], [np.nan, np.nan]]], [[[0, 2], [0, 0]]])
+    alone, absent = (play(scenes, policy, reward="sfm") for scenes in (empty, hole))
+    np.testing.assert_array_equal(alone.position[:, :, 0], absent.position[:, :, 0])
+    np.testing.assert_array_equal(alone.reward, absent.reward)
+    assert np.ptp(policy.lookahead(reset(empty), np.zeros((1, 1, 2))).values) > 1e-3
 
 
 def test_the_81_actions_are_crowdnav_s_up_to_their_order():

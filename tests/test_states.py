@@ -139,5 +139,13 @@ def test_any_leading_axes_broadcast():
     np.testing.assert_array_equal(states[1, 3], one)
 
 
-def test_nobody_around_gives_no_rows():
-    assert robot_states(**random_scene(4, elements=0), forces=True).shape == (3, 0, 17)
+@pytest.mark.parametrize("forces", [False, True])
+def test_nobody_around_is_one_absent_element(forces):
+    scene = random_scene(4, elements=0)
+    states = robot_states(**scene, forces=forces)
+    assert states.shape == (3, 1, len(column_names(forces)))
+    assert np.isnan(column(states, "element_x", forces)).all()
+    distance = np.hypot(*(scene["goal"] - scene["position"]).T)
+    np.testing.assert_allclose(column(states, "goal_distance", forces)[:, 0], distance, rtol=1e-6)
+    if forces:
+        assert (column(states, "resultant_x", forces) == 0).all()
