@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from sfmrl.config import MIXES, VARIANTS, Config, ConfigError, make_config, override
-from sfmrl.console import err, out, print_metrics, replay_command, say
+from sfmrl.console import err, out, print_metrics, replay_command, say, say_result
 from sfmrl.files import DamagedFile, csv_text
 from sfmrl.options import settings_options
 
@@ -62,6 +62,7 @@ def il(
     from sfmrl.runs import create_run
 
     use_threads(threads)
+    device = usable(device)
     if resume:
         current = reopen("il", resume, [variant, run, overwrite or None, *settings.values()])
     else:
@@ -90,6 +91,7 @@ def rl(
     from sfmrl.reinforcement import reinforce, start_run
 
     workers = use_threads(threads)
+    device = usable(device)
     if resume:
         current = reopen(
             "rl", resume, [variant, source, from_scratch or None, run, overwrite or None, *settings.values()]
@@ -129,12 +131,14 @@ def evaluate_command(
     from sfmrl.evaluation import episode_rows, evaluate
     from sfmrl.progress import show_progress
 
+    if csv and csv.is_dir():
+        raise ConfigError(f"--csv {csv} is a folder; name a file")
     if csv and csv.exists() and not overwrite:
         raise ConfigError(f"{csv} is there already; name another --csv, or replace it with --overwrite")
     if csv and not csv.parent.is_dir():
         raise ConfigError(f"there is no folder {csv.parent} for --csv {csv.name}")
     chosen, name, config = choose(policy, settings, threads, device)
-    environment = environment or config.reinforcement.test_environment
+    environment = config.reinforcement.test_environment if environment is None else environment
     result, record = evaluate(
         chosen,
         environment=environment,
@@ -147,7 +151,7 @@ def evaluate_command(
     if csv:
         csv.write_text(csv_text(episode_rows(record)))
     if as_json:
-        print(json.dumps({"policy": name, "environment": environment, "seed": seed} | result, indent=2))
+        say_result(json.dumps({"policy": name, "environment": environment, "seed": seed} | result, indent=2))
         return
     print_metrics(result, f"{name}, environment {environment}, {episodes} episodes, seed {seed}")
     if result["failures"]:
@@ -182,12 +186,12 @@ def ascii_render(
     plain = ascii_only or not (out.encoding or "").lower().startswith("utf")
     size = {"width": max(out.width, 20), "height": max(out.height - 1, 8), "ascii_only": plain}
     if scenes:
-        for name in [environment] if environment else "12345":
+        for name in "12345" if environment is None else [environment]:
             out.print(replay.scene_picture(sample_scenes(name, [episode], seed), **size))
             out.print(ENVIRONMENTS.get(name, ""), end="\n\n")
         return
     chosen, name, config = choose(policy, settings, threads, device)
-    environment = environment or config.reinforcement.test_environment
+    environment = config.reinforcement.test_environment if environment is None else environment
     scene = sample_scenes(environment, [episode], seed)
     record = play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount)
     pictures = replay.make_frames(
@@ -202,7 +206,8 @@ def ascii_render(
 
 def new_config(variant: str | None, settings: dict[str, Any]) -> Config:
     """The config of a new training from the options that were given."""
-    return make_config(settings.get("preset", "quick"), variant or "sarl", **settings)
+    preset = settings.pop("preset", "quick")
+    return make_config(preset, variant or "sarl", **settings)
 
 
 def reopen(kind: str, folder: Path, given: list[Any]) -> Any:
@@ -212,6 +217,17 @@ def reopen(kind: str, folder: Path, given: list[Any]) -> Any:
     if any(value is not None for value in given):
         raise ConfigError(f"--resume takes every setting from {folder}; leave out all but --threads and --device")
     return open_run(folder, kind)
+
+
+def usable(device: str) -> str:
+    """The name of a torch device, once something has been put there."""
+    import torch
+
+    try:
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        raise ConfigError(f"torch cannot use the device {device!r} here; --device cpu always works") from error
+    return device
 
 
 def use_threads(threads: int | None) -> int:
@@ -246,7 +262,7 @@ def choose(policy: str | None, settings: dict[str, Any], threads: int | None, de
     from sfmrl.policies import POLICIES, load_policy
 
     name = policy or newest()
-    chosen = load_policy(name) if name in POLICIES else load_policy(name, use_threads(threads), device)
+    chosen = load_policy(name) if name in POLICIES else load_policy(name, use_threads(threads), usable(device))
     return chosen, name, override(getattr(chosen, "config", Config()), settings)
 
 
@@ -270,9 +286,6 @@ def main() -> None:
         code, reason = 2, str(error)
     except (KeyboardInterrupt, typer.Abort):
         code, reason = 130, "interrupted"
-    except BrokenPipeError:  # the reader of a pipe has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code, reason = 0, ""
     except OSError as error:
         code, reason = 1, f"{error.filename or ''}: {error.strerror or error}".strip(": ")
     else:

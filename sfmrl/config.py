@@ -32,7 +32,7 @@ def _check(config: Any) -> None:
                 raise ConfigError(f"{name} is {value!r}; it takes true or false")
         elif isinstance(default, (int, float)):
             kinds = int if isinstance(default, int) else (int, float)
-            if isinstance(value, bool) or not isinstance(value, kinds) or value != value:
+            if isinstance(value, bool) or not isinstance(value, kinds) or not math.isfinite(value):
                 raise ConfigError(f"{name} is {value!r}; it takes {'a whole' if kinds is int else 'a'} number")
             if isinstance(default, float):
                 object.__setattr__(config, item.name, float(value))

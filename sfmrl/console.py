@@ -1,17 +1,33 @@
 """What the commands print: results as tables on standard output, messages on standard error."""
 
+import os
+import sys
 from typing import Any
 
+import typer
 from rich.console import Console
 from rich.table import Table
 
-out = Console(highlight=False)
-err = Console(stderr=True, highlight=False)
+
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """The reader of a pipe has seen enough: that is no failure."""
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise typer.Exit(0)
+
+
+out = _Console(highlight=False)
+err = _Console(stderr=True, highlight=False)
 
 
 def say(text: str) -> None:
     """A line on standard error."""
     err.print(text, markup=False, soft_wrap=True)
+
+
+def say_result(text: str) -> None:
+    """Lines on standard output, as they are."""
+    out.print(text, markup=False, soft_wrap=True)
 
 
 def replay_command(policy: str | None, environment: str, seed: int, episode: int, settings: dict[str, Any]) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sfmrl.config import Config, Simulation
+from sfmrl.config import Config, ConfigError, Simulation
 from sfmrl.episodes import Record, play_episodes, returns_of, rewards_of
 from sfmrl.files import read_checked, write_atomically
 from sfmrl.learning import Fit
@@ -73,6 +73,8 @@ def fill_memory(memory: Memory, record: Record, config: Config) -> None:
     record = record.take(record.outcome != "timeout")
     rewards = rewards_of(record.transition, record.steps, reward_terms(config.reward))
     returns = returns_of(rewards, step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation))
+    if not len(record.steps):
+        raise ConfigError("every demonstration ended in a time-out, and those are not learnt from; allow more time")
     memory.push(record.states(config.forces), returns[record.played])
 
 

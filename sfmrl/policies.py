@@ -85,6 +85,8 @@ def load_policy(name_or_path: str | Path, threads: int = 1, device: str = "cpu")
             f"there is no policy {name_or_path}; name {known}, a run folder or a weights file{suggest(path, POLICIES)}"
         )
     if path.is_dir():
+        if not (path / "run.json").exists() and not (path / WEIGHTS).exists():
+            raise ConfigError(f"{path} is not a run folder: it has neither run.json nor {WEIGHTS}")
         if not (path / WEIGHTS).exists():
             raise ConfigError(
                 f"{path} holds no {WEIGHTS}: that training has not ended; go on with it by --resume {path}"

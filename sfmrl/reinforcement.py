@@ -148,6 +148,8 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
         raise ConfigError(f"{source} has not ended; go on with it first: sfmrl il --resume {source}")
     if imitation.config.simulation != config.simulation:
         raise ConfigError(f"the demonstrations of {source} come from another simulation; name another --from")
+    if folder is not None and folder.resolve() == source.resolve():
+        raise ConfigError(f"{folder} is the imitation run to start from; name another --run")
     config = replace(config, imitation=imitation.config.imitation)
     facts = {"imitation": str(source), "demonstrations": read_sums(source)[DEMONSTRATIONS]}
     return create_run("rl", config, folder, overwrite=overwrite, **facts)

@@ -146,7 +146,7 @@ def _load(name: str) -> Callable[[Transition, Reward], np.ndarray]:
             module = importlib.import_module(place)
     except ConfigError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ConfigError(f"reward {name}: {place} cannot be imported: {type(error).__name__}: {error}") from error
     own = getattr(module, function, None)
     if not callable(own):

@@ -28,8 +28,11 @@ from sfmrl import __version__
 from sfmrl.config import Config, ConfigError, variant_name
 from sfmrl.files import DamagedFile, csv_text, read_checked, remove_checked, write_atomically
 from sfmrl.policies import WEIGHTS
+from sfmrl.rewards import reward_terms
+from sfmrl.scenarios import parse_mix
 
 RUNS = Path("runs")
+KINDS = ("il", "rl")
 KEEP = 2  # checkpoints kept: the newest, and one to fall back on
 
 
@@ -88,9 +91,16 @@ class Run:
 def create_run(kind: str, config: Config, folder: Path | None, *, overwrite: bool = False, **facts: Any) -> Run:
     """Make a run folder: the one named, or a new one under runs/ whose name says kind, variant and seed.
 
-    Raises ConfigError where the folder is there already and `overwrite` is not set; then only a run (or an empty
-    folder) is ever replaced. `facts` go into run.json.
+    Raises ConfigError where a name in the config stands for nothing, and where the folder is there already and
+    `overwrite` is not set; then only a run (or an empty folder) is ever replaced. `facts` go into run.json.
     """
+    for environment in (
+        config.imitation.environment,
+        config.reinforcement.environment,
+        config.reinforcement.test_environment,
+    ):
+        parse_mix(environment)
+    reward_terms(config.reward)
     if folder is None:
         name = f"{kind}-{variant_name(config)}-seed{config.seed}"
         tries = (RUNS / (name if n == 1 else f"{name}-{n}") for n in range(1, 10_000))
@@ -98,7 +108,7 @@ def create_run(kind: str, config: Config, folder: Path | None, *, overwrite: boo
     elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         if not overwrite:
             raise ConfigError(f"{folder} is there already; name another --run, or replace it with --overwrite")
-        if not (folder / "run.json").is_file():
+        if kind_of(folder) is None:
             raise ConfigError(f"{folder} is not a run folder, so --overwrite leaves it alone; name another --run")
         shutil.rmtree(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -132,13 +142,18 @@ def run_folders(kind: str | None = None) -> list[Path]:
     """Folders under runs/ that hold a run (of a kind), the newest first."""
     found = []
     for path in RUNS.glob("*/run.json"):
-        try:
-            facts = json.loads(path.read_text())
-            if kind in (None, facts["kind"]):
-                found.append((facts["created"], path.parent))
-        except (ValueError, KeyError):
-            continue  # not a run that can be opened; naming it says why
+        if kind_of(path.parent) in (KINDS if kind is None else (kind,)):
+            found.append((json.loads(path.read_text()).get("created", ""), path.parent))
     return [folder for _, folder in sorted(found, reverse=True)]
+
+
+def kind_of(folder: Path) -> str | None:
+    """Which kind of run a folder holds; None where it holds none that can be told."""
+    try:
+        facts = json.loads((folder / "run.json").read_text())
+    except (OSError, ValueError):
+        return None
+    return facts.get("kind") if isinstance(facts, dict) and facts.get("kind") in KINDS else None
 
 
 def newest_run() -> Path:

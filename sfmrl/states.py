@@ -89,7 +89,8 @@ def robot_states(
         columns["resultant_x"], columns["resultant_y"] = pushed[..., 0, None], pushed[..., 1, None]
 
     names = column_names(forces)
-    states = np.empty((*columns["element_x"].shape, len(names)), dtype=np.float32)
+    shape = np.broadcast_shapes(*(np.shape(column) for column in columns.values()))
+    states = np.empty((*shape, len(names)), dtype=np.float32)
     for column, name in enumerate(names):
         states[..., column] = columns[name]
     return states

@@ -105,40 +105,40 @@ def test_a_run_from_scratch_needs_no_imitation(sfmrl: Call):
     assert "environment 5" in done.stdout
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("eval", "orac"), ("there is no policy orac", "linear, orca, sfm", "did you mean orca?")),
-        (("eval", "runs/none"), ("there is no policy runs/none",)),
-        (("eval", "orca", "--episode", "5"), ("--episode", "--episodes")),
-        (("eval", "orca", "--episodes", "many"), ("--episodes",)),
-        (("eval", "orca", "--episodes", "0"), ("--episodes",)),
-        (("eval", "orca", "--environment", "7"), ("there is no environment '7'", "table1")),
-        (("eval", "orca", "--environment", ""), ("there is no environment ''",)),
-        (("eval", "orca", "--reward", "smf"), ("there is no reward 'smf'", "did you mean sfm?")),
-        (("eval", "orca", "--crowd", "orka"), ("crowd is 'orka'; choose orca, sfm", "did you mean orca?")),
-        (("eval", "orca", "--time-limit", "inf"), ("time-limit",)),
-        (("eval", "orca", "--time-step", "nan"), ("time-step",)),
-        (("eval", "orca", "--csv", "no/such/folder.csv"), ("no folder no/such",)),
-        (("eval", "orca", "--episodes", "2", "--csv", ".", "--overwrite"), ("is a folder",)),
-        (("eval", "."), (". is not a run folder",)),
-        (("eval",), ("no finished run", "sfmrl il")),
-        (("il", "--variant", "sarl-sfn"), ("there is no variant 'sarl-sfn'", "did you mean sarl-sfm?")),
-        (("il", "--preset", "papre"), ("did you mean paper?",)),
-        (("il", "--seed", "-1"), ("seed is -1",)),
-        (("il", "--learning-rate", "nan"), ("learning-rate",)),
-        (("il", "--resume", "nowhere"), ("nowhere does not exist",)),
-        (("il", "--resume", "nowhere", "--seed", "1"), ("--resume takes every setting",)),
-        (("il", "--device", "gpu"), ("device",)),
-        (("rl",), ("no finished imitation run", "sfmrl il --preset quick --seed 0", "--from-scratch")),
-        (("rl", "--preset", "paper", "--seed", "3"), ("sfmrl il --preset paper --seed 3",)),
-        (("rl", "--from", "nowhere"), ("nowhere does not exist",)),
-        (("rl", "--from", "x", "--from-scratch"), ("--from and --from-scratch",)),
-        (("ascii-render", "orca", "--episode", "-1"), ("--episode",)),
-        (("ascii-render", "orca", "--environment", "9"), ("there is no environment '9'",)),
-        (("train",), ("train",)),
-    ],
-)
+WRONG_USE = [
+    (("eval", "orac"), ("there is no policy orac", "linear, orca, sfm", "did you mean orca?")),
+    (("eval", "runs/none"), ("there is no policy runs/none",)),
+    (("eval", "orca", "--episode", "5"), ("--episode", "--episodes")),
+    (("eval", "orca", "--episodes", "many"), ("--episodes",)),
+    (("eval", "orca", "--episodes", "0"), ("--episodes",)),
+    (("eval", "orca", "--environment", "7"), ("there is no environment '7'", "table1")),
+    (("eval", "orca", "--environment", ""), ("there is no environment ''",)),
+    (("eval", "orca", "--reward", "smf"), ("there is no reward 'smf'", "did you mean sfm?")),
+    (("eval", "orca", "--crowd", "orka"), ("crowd is 'orka'; choose orca, sfm", "did you mean orca?")),
+    (("eval", "orca", "--time-limit", "inf"), ("time-limit",)),
+    (("eval", "orca", "--time-step", "nan"), ("time-step",)),
+    (("eval", "orca", "--csv", "no/such/folder.csv"), ("no folder no/such",)),
+    (("eval", "orca", "--episodes", "2", "--csv", ".", "--overwrite"), ("is a folder",)),
+    (("eval", "."), (". is not a run folder",)),
+    (("eval",), ("no finished run", "sfmrl il")),
+    (("il", "--variant", "sarl-sfn"), ("there is no variant 'sarl-sfn'", "did you mean sarl-sfm?")),
+    (("il", "--preset", "papre"), ("did you mean paper?",)),
+    (("il", "--seed", "-1"), ("seed is -1",)),
+    (("il", "--learning-rate", "nan"), ("learning-rate",)),
+    (("il", "--resume", "nowhere"), ("nowhere does not exist",)),
+    (("il", "--resume", "nowhere", "--seed", "1"), ("--resume takes every setting",)),
+    (("il", "--device", "gpu"), ("device",)),
+    (("rl",), ("no finished imitation run", "sfmrl il --preset quick --seed 0", "--from-scratch")),
+    (("rl", "--preset", "paper", "--seed", "3"), ("sfmrl il --preset paper --seed 3",)),
+    (("rl", "--from", "nowhere"), ("nowhere does not exist",)),
+    (("rl", "--from", "x", "--from-scratch"), ("--from and --from-scratch",)),
+    (("ascii-render", "orca", "--episode", "-1"), ("--episode",)),
+    (("ascii-render", "orca", "--environment", "9"), ("there is no environment '9'",)),
+    (("train",), ("train",)),
+]
+
+
+@pytest.mark.parametrize(("words", "said"), WRONG_USE, ids=[" ".join(words) for words, _ in WRONG_USE])
 def test_wrong_use_is_one_line_that_says_how_to_go_on(in_process: Call, tmp_path: Path, words, said):
     assert_one_line_error(in_process(*words), *said)
     assert list(tmp_path.iterdir()) == []  # nothing is left behind
@@ -153,6 +153,7 @@ def test_wrong_use_is_one_line_that_says_how_to_go_on(in_process: Call, tmp_path
         ("rl", "--from-scratch", *TINY_RL, "--test-environment", "9"),
         ("rl", "--from-scratch", *TINY_RL, "--reward", "missing.py:mine"),
     ],
+    ids=" ".join,
 )
 def test_a_training_that_cannot_begin_leaves_no_run_folder(in_process: Call, tmp_path: Path, words):
     done = in_process(*words)
