@@ -10,16 +10,8 @@ from typing import Any
 __version__ = "0.1.0"
 
 _HOME = {
-    "config": (
-        "Config",
-        "ConfigError",
-        "Reinforcement",
-        "Imitation",
-        "Reward",
-        "Simulation",
-        "SocialForce",
-        "make_config",
-    ),
+    "config": ("Config", "ConfigError", "Reinforcement", "Imitation", "Reward", "Simulation", "SocialForce"),
+    "variants": ("make_config",),
     "sfm": ("goal_force", "repulsive_forces", "resultant", "sfm_velocities"),
     "orca": ("orca_velocities",),
     "network": ("ValueNetwork", "load_weights"),

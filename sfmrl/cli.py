@@ -4,18 +4,18 @@ Exit codes: 0 done, 1 failed, 2 wrong use, 130 interrupted. NumPy and torch are 
 """
 
 import json
-import os
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from sfmrl.config import MIXES, VARIANTS, Config, ConfigError, make_config, override
+from sfmrl.config import ConfigError
 from sfmrl.console import err, out, print_metrics, replay_command, say, say_result
 from sfmrl.files import DamagedFile, csv_text
 from sfmrl.options import settings_options
+from sfmrl.session import choose, new_config, reopen, train, usable, use_threads
+from sfmrl.variants import MIXES, VARIANTS
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -103,8 +103,8 @@ def rl(
         if "environment" in schedule:
             schedule.setdefault("test_environment", schedule["environment"])
         current = start_run(new_config(variant, settings), source, from_scratch, run, overwrite)
-    if current.facts["imitation"]:
-        say(f"from imitation run {current.facts['imitation']}")
+    if current.imitation:
+        say(f"from imitation run {current.imitation}")
     result = train(
         current, lambda progress, stop: reinforce(current, progress, stop, say, threads=workers, device=device)
     )
@@ -202,77 +202,6 @@ def ascii_render(
             out.print(picture.text if out.is_terminal else picture.plain, highlight=False)
     else:
         replay.play_live(pictures, out, speed=speed)
-
-
-def new_config(variant: str | None, settings: dict[str, Any]) -> Config:
-    """The config of a new training from the options that were given."""
-    preset = settings.pop("preset", "quick")
-    return make_config(preset, variant or "sarl", **settings)
-
-
-def reopen(kind: str, folder: Path, given: list[Any]) -> Any:
-    """The run to go on with; its settings are its own, so no other may be given."""
-    from sfmrl.runs import open_run
-
-    if any(value is not None for value in given):
-        raise ConfigError(f"--resume takes every setting from {folder}; leave out all but --threads and --device")
-    return open_run(folder, kind)
-
-
-def usable(device: str) -> str:
-    """The name of a torch device, once something has been put there."""
-    import torch
-
-    try:
-        torch.zeros(1, device=device)
-    except (RuntimeError, AssertionError, NotImplementedError) as error:
-        raise ConfigError(f"torch cannot use the device {device!r} here; --device cpu always works") from error
-    return device
-
-
-def use_threads(threads: int | None) -> int:
-    """How many threads to work on; torch itself is kept to one in each, so that their number changes no result."""
-    import torch
-
-    torch.set_num_threads(1)
-    if threads:
-        return threads
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def train(run: Any, work: Callable[..., Any]) -> Any:
-    """Do a training's work; when it is asked to stop, say how to go on and exit with 130."""
-    from sfmrl.progress import show_progress
-    from sfmrl.runs import Interrupted, StopSignal
-
-    how = f"sfmrl {run.kind} --resume {run.folder}"
-    if run.finished:
-        raise ConfigError(f"{run.folder} is finished; there is nothing to go on with")
-    say(f"run folder {run.folder}")
-    with StopSignal() as stop:
-        try:
-            return work(show_progress(err), stop)
-        except (Interrupted, KeyboardInterrupt):
-            say(f"interrupted; go on with: {how}")
-            raise typer.Exit(130) from None
-
-
-def choose(policy: str | None, settings: dict[str, Any], threads: int | None, device: str) -> tuple[Any, str, Config]:
-    """The policy to play, its name, and its config with the options that were given."""
-    from sfmrl.policies import POLICIES, load_policy
-
-    name = policy or newest()
-    chosen = load_policy(name) if name in POLICIES else load_policy(name, use_threads(threads), usable(device))
-    return chosen, name, override(getattr(chosen, "config", Config()), settings)
-
-
-def newest() -> str:
-    """The newest finished run, named on standard error."""
-    from sfmrl.runs import newest_run
-
-    folder = str(newest_run())
-    say(f"policy: {folder}")
-    return folder
 
 
 def main() -> None:

@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from numbers import Integral, Real
 from typing import Any
 
 
@@ -31,11 +32,19 @@ def _check(config: Any) -> None:
             if not isinstance(value, bool):
                 raise ConfigError(f"{name} is {value!r}; it takes true or false")
         elif isinstance(default, (int, float)):
-            kinds = int if isinstance(default, int) else (int, float)
-            if isinstance(value, bool) or not isinstance(value, kinds) or not math.isfinite(value):
-                raise ConfigError(f"{name} is {value!r}; it takes {'a whole' if kinds is int else 'a'} number")
-            if isinstance(default, float):
-                object.__setattr__(config, item.name, float(value))
+            whole = isinstance(default, int)
+            if (
+                isinstance(value, bool)
+                or not isinstance(value, Integral if whole else Real)
+                or not math.isfinite(value)
+            ):
+                raise ConfigError(f"{name} is {value!r}; it takes {'a whole' if whole else 'a finite'} number")
+            value = int(value) if whole else float(value)
+            object.__setattr__(config, item.name, value)
+        elif isinstance(default, str) and not isinstance(value, str):
+            raise ConfigError(f"{name} is {value!r}; it takes text")
+        elif is_dataclass(item.default_factory) and not isinstance(value, item.default_factory):
+            raise ConfigError(f"{name} is {value!r}; it takes a {item.default_factory.__name__}")
         if meta.get("least") is not None and value < meta["least"]:
             raise ConfigError(f"{name} is {value}; it must be at least {meta['least']:g}")
         if meta.get("most") is not None and value > meta["most"]:
@@ -146,7 +155,7 @@ class Reinforcement(_Checked):
     memory: int = knob(100_000, "states kept to learn from (CRI)", least=1)
     keep_timeouts: bool = knob(False, "learn from timed-out episodes too, as worth 0 at their end (CRI drops them)")
     average: int = knob(0, "test with weights averaged over about so many batches; 0 is off", least=0)
-    environment: str = knob("table1", "environments to train in, and their shares")
+    environment: str = knob("table1", "environments to train in, and their shares; rl tests there too")
     test_environment: str = knob("table1", "environments of validation and test (paper: table 1's mix in all its rows)")
     validation_interval: int = knob(1000, "episodes between validations", least=1)
     validation_episodes: int = knob(100, "episodes of a validation", least=1)
@@ -158,7 +167,7 @@ class Config:
     """Everything that decides a training's numbers."""
 
     seed: int = knob(0, "seed of everything random", least=0)
-    preset: str = knob("quick", "schedule to start from: quick (minutes) or paper (hours, as published)")
+    preset: str = knob("quick", "schedule: minutes, or as published (hours)", choices=("quick", "paper"))
     forces: bool = knob(False, "social forces in the state: 17 columns instead of 13")
     discount: float = knob(0.9, "discount per second at 1 m/s (CRI's gamma)", least=0, most=1)
     value_prior: bool = knob(False, "write the value as 0.9^(goal distance - 0.3) (0.8 + network)")
@@ -203,69 +212,3 @@ def override(config: Any, changes: Mapping[str, Any]) -> Any:
 # discs of 0.3 m, and a relaxation time of 0.5 s. The paper's (1, 1, 0) describes the robot's surroundings; as a crowd
 # model it would let people walk through each other.
 CROWD_FORCE = SocialForce(a=7.0, b=0.3, d=0.6, k=2.0)
-
-# The paper's environments, and the mixes of its two tables (shares add up to 1).
-MIXES = {"table1": "1:0.7,2:0.3", "table2": "2:0.25,3:0.25,4:0.25,5:0.25"}
-
-PRESETS: dict[str, dict[str, Any]] = {
-    "paper": {"preset": "paper"},
-    "quick": {
-        "preset": "quick",
-        "value_prior": True,
-        "collision_ends": True,
-        "imitation": {
-            "episodes": 1000,
-            "epochs": 6,
-            "batch_size": 200,
-            "optimizer": "adam",
-            "learning_rate": 2e-3,
-            "schedule": "one-cycle",
-        },
-        "reinforcement": {
-            "episodes": 3000,
-            "parallel": 32,
-            "overlap": True,
-            "batches": 6,
-            "batch_size": 200,
-            "optimizer": "adam",
-            "learning_rate": 5e-4,
-            "schedule": "linear",
-            "epsilon_start": 0.2,
-            "epsilon_end": 0.05,
-            "epsilon_episodes": 500,
-            "targets": "returns",
-            "keep_timeouts": True,
-            "average": 300,
-        },
-    },
-}
-
-# The seven rows of the paper's table 1.
-VARIANTS: dict[str, dict[str, Any]] = {
-    "sarl": {},
-    "sarl-sfm": {"reward": {"reward": "sfm-discount"}},
-    "sarl-sfm2": {"reward": {"reward": "sfm"}},
-    "sarl-sfm3": {"reward": {"reward": "sfm"}, "reinforcement": {"environment": "1"}},
-    "sarl-sfm4": {"reward": {"reward": "sfm", "k": 0.003}},
-    "sarl-sfm5": {"forces": True},
-    "sarl-sfm6": {"forces": True, "reward": {"reward": "sfm"}},
-}
-
-
-def make_config(preset: str = "quick", variant: str = "sarl", **changes: Any) -> Config:
-    """The config of a preset and a variant with single settings changed; raises ConfigError on unknown names."""
-    for kind, name, table in (("preset", preset, PRESETS), ("variant", variant, VARIANTS)):
-        if name not in table:
-            raise ConfigError(f"there is no {kind} {name!r}; choose {', '.join(table)}{suggest(name, table)}")
-    return override(override(override(Config(), PRESETS[preset]), VARIANTS[variant]), changes)
-
-
-def variant_name(config: Config) -> str:
-    """The paper's name for a config's reward, state and environments, or a description where it has none."""
-    for name in VARIANTS:
-        known = make_config(config.preset, name)
-        same = (config.reward, config.forces, config.reinforcement.environment)
-        if same == (known.reward, known.forces, known.reinforcement.environment):
-            return name
-    reward = config.reward.reward.rpartition(":")[2]
-    return f"custom-{reward}{'-forces' if config.forces else ''}"

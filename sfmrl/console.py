@@ -1,12 +1,16 @@
 """What the commands print: results as tables on standard output, messages on standard error."""
 
 import os
+import shlex
 import sys
 from typing import Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
+
+WIDTH = 80  # columns of the metrics' table, at least
 
 
 class _Console(Console):
@@ -32,7 +36,11 @@ def say_result(text: str) -> None:
 
 def replay_command(policy: str | None, environment: str, seed: int, episode: int, settings: dict[str, Any]) -> str:
     """What to type to see a test episode."""
-    words = ["sfmrl ascii-render", policy or "", f"--environment {environment} --seed {seed} --episode {episode}"]
+    words = [
+        "sfmrl ascii-render",
+        shlex.quote(policy) if policy else "",
+        f"--environment {environment} --seed {seed} --episode {episode}",
+    ]
     for section in settings.values():
         words += [
             f"--{name.replace('_', '-')} {value}" for name, value in section.items() if not isinstance(value, bool)
@@ -45,7 +53,7 @@ def replay_command(policy: str | None, environment: str, seed: int, episode: int
 
 def print_metrics(result: dict[str, Any], title: str) -> None:
     """Metrics as a table: a row in all, and one for each environment."""
-    table = Table(title=title, title_justify="left")
+    table = Table(title=Text(title), title_justify="left")
     for heading in ("", "success", "collision", "time-out", "nav. time", "total reward", "episodes"):
         table.add_column(heading, justify="right" if heading else "left")
     rows = {"all": result, **{f"env. {name}": row for name, row in result.get("environments", {}).items()}}
@@ -53,4 +61,4 @@ def print_metrics(result: dict[str, Any], title: str) -> None:
         rates = [f"{row[rate]:.3f} [dim]{low:.2f}-{high:.2f}[/dim]" for rate, (low, high) in row["intervals"].items()]
         time = "-" if row["navigation_time"] is None else f"{row['navigation_time']:.2f} s"
         table.add_row(name, *rates, time, f"{row['total_reward']:.4f}", str(row["episodes"]))
-    out.print(table)
+    out.print(table, width=max(out.width, WIDTH), crop=False)  # in a narrow terminal lines wrap, but no number is cut

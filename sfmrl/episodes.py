@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from sfmrl.config import Reward, Simulation
+from sfmrl.config import Config, Reward, Simulation
 from sfmrl.crowd import World, advance, crowd_velocities, reset, transition
 from sfmrl.policies import Policy, find_policy, step_discount
 from sfmrl.rewards import OUTCOMES, RUNNING, Terms, Transition, reward_terms, total
@@ -97,6 +97,7 @@ def play(
     """
     settings = reward if isinstance(reward, Reward) else Reward(reward=reward)
     simulation = Simulation(crowd=crowd, robot_visible=robot_visible, safety_space=safety_space)
+    discount = Config(discount=discount).discount  # held to its range
     return play_episodes(scenes, find_policy(policy), settings, simulation, discount=discount)
 
 
@@ -126,6 +127,8 @@ def play_episodes(
     while len(world):
         moves = crowd_velocities(world)
         action = policy(world, moves)
+        if not np.isfinite(action).all():
+            raise ValueError("the policy's action is not finite; every episode needs a velocity (2,) in m/s")
         step = transition(world, action)
         if not steps.any():
             terms(step)  # a reward that cannot be used is better found now than after the last episode

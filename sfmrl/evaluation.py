@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from sfmrl.config import Config, Reward, Simulation
+from sfmrl.config import Config, ConfigError, Reward, Simulation
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.policies import Policy, find_policy
 from sfmrl.progress import Progress, no_progress
@@ -29,6 +29,8 @@ def evaluate(
 
     `reward` (for the total reward) is by default the policy's own, CRI's where it has none.
     """
+    if episodes < 1:
+        raise ConfigError(f"episodes is {episodes}; it must be at least 1")
     chosen = find_policy(policy)
     own = getattr(chosen, "config", Config())
     settings = own.reward if reward is None else reward if isinstance(reward, Reward) else Reward(reward=reward)

@@ -33,7 +33,7 @@ def imitate(run: Run, progress: Progress, stop: StopSignal, device: str = "cpu")
     config = run.config
     path = run.folder / DEMONSTRATIONS
     if not path.exists():
-        save_demonstrations(demonstrate(config, progress), path)
+        save_demonstrations(demonstrate(config, stop.watch(progress)), path)
     memory = make_memory(config)
     fill_memory(memory, load_demonstrations(path, config.simulation), config)
     fit = new_fit(config, device)

@@ -8,7 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from sfmrl.config import PRESETS, Config, make_config
+from sfmrl.config import Config
+from sfmrl.variants import PRESETS, make_config
 
 # The sections of the config by the heading under which `--help` shows their knobs.
 TITLES = {

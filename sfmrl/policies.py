@@ -5,6 +5,7 @@ people are about to do. SARL's lookahead takes them from the simulator, as CRI d
 on the robot's action, so one step of the crowd serves all 81.
 """
 
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -70,7 +71,7 @@ def find_policy(policy: str | Policy) -> Policy:
     return load_policy(policy) if isinstance(policy, (str, Path)) else policy
 
 
-def load_policy(name_or_path: str | Path, threads: int = 1, device: str = "cpu") -> Policy:
+def load_policy(name_or_path: str | Path, threads: int | None = None, device: str = "cpu") -> Policy:
     """The policy of a name (linear, orca, sfm), a run folder, or a weights file (sfmrl's or a CrowdNav SARL's).
 
     A CrowdNav file says nothing of its reward: it looks ahead with CRI's. Raises ConfigError where there is no such
@@ -95,7 +96,7 @@ def load_policy(name_or_path: str | Path, threads: int = 1, device: str = "cpu")
     from sfmrl.network import load_weights  # torch takes seconds to import: only for those who need it
 
     network, config = load_weights(path)
-    return SarlPolicy(network.to(device), config, threads)
+    return SarlPolicy(network.to(device), config, threads or available_cores())
 
 
 def world_states(world: World, forces: bool) -> np.ndarray:
@@ -134,7 +135,7 @@ class SarlPolicy:
     def __init__(self, network, config: Config, threads: int = 1) -> None:
         self.network, self.config = network, config
         self._terms = reward_terms(config.reward)
-        self._pool = worker_threads(threads) if threads > 1 else None
+        self._pool = worker_threads(threads)
 
     def __call__(self, world: World, crowd_velocity: np.ndarray) -> np.ndarray:
         look = self.lookahead(world, crowd_velocity)
@@ -144,8 +145,7 @@ class SarlPolicy:
         """Values of all actions in every episode of the world."""
         actions = ACTIONS * world.v_pref[:, 0, None, None]  # (E, A, 2)
         blocks = [slice(e, e + BLOCK) for e in range(0, len(world), BLOCK)]
-        run = self._pool.map if self._pool else map
-        values = list(run(lambda rows: self._values(world, crowd_velocity, actions, rows), blocks))
+        values = list(self._pool.map(lambda rows: self._values(world, crowd_velocity, actions, rows), blocks))
         values = np.concatenate(values) if values else np.zeros(actions.shape[:2])
         return Lookahead(actions, values, values.argmax(1))
 
@@ -173,6 +173,11 @@ class SarlPolicy:
         if self.config.collision_ends:
             ahead = np.where(step.outcome == COLLISION, 0.0, ahead)
         return reward + step_discount(self.config.discount, world.v_pref[:, :1], world.simulation) * ahead
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def worker_threads(count: int) -> ThreadPoolExecutor:

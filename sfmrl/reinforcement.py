@@ -1,32 +1,27 @@
 """Reinforcement: deep V-learning past what ORCA showed, as CRI and the paper have it.
 
-Play with epsilon-greedy lookahead, store each state with the value its episode gave it, learn from random batches.
-Two kinds of value: `td`, the reward plus the target network's value of the next state; and `returns`, the discounted
-rewards that really followed, up to the next random action, from where the target network speaks. Every random number
-comes from the seed and the number of the episode or batch, so what is played side by side changes nothing in either.
+Play with epsilon-greedy lookahead, store each state with the value its episode gave it, learn from random batches;
+validate at intervals, and test in the end.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sfmrl.config import Config, ConfigError, Reinforcement
-from sfmrl.crowd import World
-from sfmrl.episodes import Record, play_episodes, returns_of
+from sfmrl.episodes import Record
 from sfmrl.evaluation import episode_rows, evaluate
+from sfmrl.exploration import explore, remember
 from sfmrl.files import DamagedFile, read_sums
 from sfmrl.imitation import DEMONSTRATIONS, fill_memory, fit_memory, load_demonstrations, make_memory, new_fit
 from sfmrl.learner import Learner
 from sfmrl.network import ValueNetwork, load_weights, save_weights
-from sfmrl.policies import ACTIONS, WEIGHTS, Policy, SarlPolicy, step_discount, worker_threads
+from sfmrl.policies import WEIGHTS, SarlPolicy, worker_threads
 from sfmrl.progress import Progress
 from sfmrl.runs import Interrupted, Run, StopSignal, create_run, open_run, run_folders
-from sfmrl.scenarios import generator, sample_scenes
 from sfmrl.states import column_names
 
 CHECKPOINT_EVERY = 20.0  # seconds between checkpoints; when they are taken changes no number
@@ -61,7 +56,7 @@ def reinforce(
             seed=EVALUATION_SEED,
             simulation=config.simulation,
             phase=phase,
-            progress=progress,
+            progress=stop.watch(progress),
         )[0]
 
     while True:
@@ -133,7 +128,7 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
     ConfigError, with what to type, where there is none.
     """
     if from_scratch:
-        return create_run("rl", config, folder, overwrite=overwrite, imitation=None)
+        return create_run("rl", config, folder, overwrite=overwrite)
     if source is None:
         fitting = (path for path in run_folders("il") if fits(path, config))
         source = next(fitting, None)
@@ -151,8 +146,8 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
     if folder is not None and folder.resolve() == source.resolve():
         raise ConfigError(f"{folder} is the imitation run to start from; name another --run")
     config = replace(config, imitation=imitation.config.imitation)
-    facts = {"imitation": str(source), "demonstrations": read_sums(source)[DEMONSTRATIONS]}
-    return create_run("rl", config, folder, overwrite=overwrite, **facts)
+    demonstrations = read_sums(source)[DEMONSTRATIONS]
+    return create_run("rl", config, folder, source, overwrite=overwrite, demonstrations=demonstrations)
 
 
 def fits(folder: Path, config: Config) -> bool:
@@ -174,10 +169,12 @@ def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], N
         learner.load_state_dict(saved)
         return learner
     fit = new_fit(config, device)
-    if run.facts["imitation"] is None:
+    if run.imitation is None:
         return Learner(fit.network, memory, config)
-    source = Path(run.facts["imitation"])
+    source = run.imitation
     demonstrations = source / DEMONSTRATIONS
+    if not demonstrations.exists():
+        raise DamagedFile(f"{demonstrations} is not there any more; put the imitation run back, or start a new run")
     if read_sums(source).get(DEMONSTRATIONS) != run.facts["demonstrations"]:
         raise DamagedFile(f"{demonstrations} is not the one this run began with; start a new run from it")
     fill_memory(memory, load_demonstrations(demonstrations, config.simulation), config)
@@ -212,51 +209,6 @@ def due(learner: Learner, settings: Reinforcement) -> bool:
     made = bool(learner.validations) and learner.validations[-1]["episode"] == learner.episode
     regular = learner.episode % settings.validation_interval == 0 or learner.episode >= settings.episodes
     return regular and not made
-
-
-def explore(policy: Policy, config: Config, episodes: Sequence[int]) -> tuple[Record, np.ndarray]:
-    """Play training episodes with epsilon-greedy actions; their record, and which steps (E, T) were random."""
-    settings = config.reinforcement
-    scenes = sample_scenes(settings.environment, episodes, config.seed, phase="train")
-    most = config.simulation.longest
-    rngs = [generator(config.seed, "exploration", episode) for episode in episodes]
-    random_steps = np.array([rng.random(most) for rng in rngs]) < epsilon(settings, np.array(episodes))[:, None]
-    picks = ACTIONS[np.array([rng.integers(len(ACTIONS), size=most) for rng in rngs])]  # (E, T, 2)
-
-    def epsilon_greedy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
-        at = (world.episode, world.steps)
-        action = picks[at] * world.v_pref[:, :1]
-        greedy = np.flatnonzero(~random_steps[at])
-        if len(greedy):
-            action[greedy] = policy(world.take(greedy), crowd_velocity[greedy])
-        return action
-
-    record = play_episodes(scenes, epsilon_greedy, config.reward, config.simulation, discount=config.discount)
-    return record, random_steps[:, : record.reward.shape[1]]
-
-
-def epsilon(settings: Reinforcement, episode: np.ndarray) -> np.ndarray:
-    """The share of random actions in training episodes, a straight line and then level: (E,)."""
-    progress = np.minimum(episode / settings.epsilon_episodes, 1.0)
-    return settings.epsilon_start + (settings.epsilon_end - settings.epsilon_start) * progress
-
-
-def remember(learner: Learner, record: Record, random_steps: np.ndarray) -> None:
-    """Store the states of a record with the values to learn for them."""
-    config, settings = learner.config, learner.config.reinforcement
-    kept = np.flatnonzero((record.outcome != "timeout") | settings.keep_timeouts)
-    if not len(kept):
-        return
-    record, random_steps = record.take(kept), random_steps[kept]
-    states, played = record.states(config.forces), record.played
-    # A state's value is asked of the target network where the step before it bootstraps from it.
-    asked = random_steps & played if settings.targets == "returns" else played.copy()
-    asked[:, 0] = False
-    guess = np.full(played.shape, np.nan)
-    if asked.any():
-        guess[asked] = learner.target.evaluate(states[asked[played]])[0]
-    step = step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation)
-    learner.memory.push(states, returns_of(record.reward, step, guess)[played])
 
 
 def summary(rates: dict[str, Any]) -> str:

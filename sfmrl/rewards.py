@@ -5,6 +5,7 @@ The episode's end is judged by the simulator (`outcome`), in CRI's order: time-o
 the paper's formulas are silent on time-outs (worth 0, as in CRI) and list the goal after discomfort.
 """
 
+import hashlib
 import importlib
 import importlib.util
 from collections.abc import Callable
@@ -120,6 +121,12 @@ def reward_terms(settings: Reward) -> Callable[[Transition], Terms]:
         return {"reward": reward}
 
     return checked
+
+
+def reward_digest(settings: Reward) -> str | None:
+    """SHA-256 of the file that an own reward is in; None for one that is no file's."""
+    place, _, _ = settings.reward.rpartition(":")
+    return hashlib.sha256(Path(place).read_bytes()).hexdigest() if place.endswith(".py") else None
 
 
 def total(terms: Terms) -> np.ndarray:

@@ -11,13 +11,17 @@ A killed run goes on from its newest checkpoint to the same bits as one that was
 
 import io
 import json
+import os
 import platform
 import shlex
 import shutil
 import signal
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +29,13 @@ import numpy as np
 import torch
 
 from sfmrl import __version__
-from sfmrl.config import Config, ConfigError, variant_name
+from sfmrl.config import Config, ConfigError
 from sfmrl.files import DamagedFile, csv_text, read_checked, remove_checked, write_atomically
 from sfmrl.policies import WEIGHTS
-from sfmrl.rewards import reward_terms
+from sfmrl.progress import Progress
+from sfmrl.rewards import reward_digest, reward_terms
 from sfmrl.scenarios import parse_mix
+from sfmrl.variants import variant_name
 
 RUNS = Path("runs")
 KINDS = ("il", "rl")
@@ -46,6 +52,12 @@ class Run:
     facts: dict[str, Any]
 
     @property
+    def imitation(self) -> Path | None:
+        """The imitation run that this one goes on from; None without."""
+        source = self.facts.get("imitation")
+        return None if source is None else Path(os.path.normpath(self.folder / source))
+
+    @property
     def finished(self) -> bool:
         """Whether the training has come to its end."""
         return (self.folder / WEIGHTS).exists()
@@ -58,7 +70,7 @@ class Run:
 
     def checkpoints(self) -> list[Path]:
         """The checkpoint files, oldest first."""
-        return sorted(self.folder.glob("checkpoint-*.pt"))
+        return sorted(self.folder.glob("checkpoint-" + "[0-9]" * 6 + ".pt"))
 
     def load_checkpoint(self) -> dict[str, Any] | None:
         """The newest checkpoint's state, None where there is none yet; raises DamagedFile with the way out."""
@@ -88,11 +100,20 @@ class Run:
         write_atomically(self.folder / name, lambda file: file.write(text.encode()), checked=False)
 
 
-def create_run(kind: str, config: Config, folder: Path | None, *, overwrite: bool = False, **facts: Any) -> Run:
+def create_run(
+    kind: str,
+    config: Config,
+    folder: Path | None,
+    imitation: Path | None = None,
+    *,
+    overwrite: bool = False,
+    **facts: Any,
+) -> Run:
     """Make a run folder: the one named, or a new one under runs/ whose name says kind, variant and seed.
 
     Raises ConfigError where a name in the config stands for nothing, and where the folder is there already and
-    `overwrite` is not set; then only a run (or an empty folder) is ever replaced. `facts` go into run.json.
+    `overwrite` is not set; then only a run (or an empty folder) is ever replaced. `imitation` is the run that this one
+    goes on from; it is kept relative to the new folder, so that both can be moved. `facts` go into run.json.
     """
     for environment in (
         config.imitation.environment,
@@ -103,11 +124,12 @@ def create_run(kind: str, config: Config, folder: Path | None, *, overwrite: boo
     reward_terms(config.reward)
     if folder is None:
         name = f"{kind}-{variant_name(config)}-seed{config.seed}"
-        tries = (RUNS / (name if n == 1 else f"{name}-{n}") for n in range(1, 10_000))
-        folder = next(path for path in tries if not path.exists())
+        folder = _new_folder(name)
     elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         if not overwrite:
-            raise ConfigError(f"{folder} is there already; name another --run, or replace it with --overwrite")
+            unfinished = kind_of(folder) is not None and not (folder / WEIGHTS).exists()
+            ways = ["name another --run", "replace it with --overwrite", f"go on with it by --resume {folder}"]
+            raise ConfigError(f"{folder} is there already; {', or '.join(ways[: 2 + unfinished])}")
         if kind_of(folder) is None:
             raise ConfigError(f"{folder} is not a run folder, so --overwrite leaves it alone; name another --run")
         shutil.rmtree(folder)
@@ -115,15 +137,30 @@ def create_run(kind: str, config: Config, folder: Path | None, *, overwrite: boo
     facts = {
         "kind": kind,
         "variant": variant_name(config),
-        "created": datetime.now().astimezone().isoformat(),
+        "created": datetime.now(UTC).isoformat(),
         "command": shlex.join(["sfmrl", *sys.argv[1:]]),
         "versions": versions(),
+        "own_reward": reward_digest(config.reward),
+        "imitation": None if imitation is None else os.path.relpath(imitation, folder),
         **facts,
     }
     run = Run(folder, kind, config, facts)
     write_atomically(folder / "config.json", lambda file: file.write(config.to_json().encode()))
     write_atomically(folder / "run.json", lambda file: file.write(json.dumps(facts, indent=2).encode()))
     return run
+
+
+def _new_folder(name: str) -> Path:
+    """Make runs/name, or the first of runs/name-2, runs/name-3 ... that nobody has made."""
+    RUNS.mkdir(exist_ok=True)
+    for number in count(1):
+        folder = RUNS / (name if number == 1 else f"{name}-{number}")
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            continue
+        return folder
+    raise AssertionError("there is always one more number")
 
 
 def open_run(folder: Path, kind: str | None = None) -> Run:
@@ -164,6 +201,22 @@ def newest_run() -> Path:
     raise ConfigError("there is no finished run under runs/ yet: type sfmrl il, or name a policy (linear, orca, sfm)")
 
 
+@contextmanager
+def sole_use(run: Run) -> Iterator[None]:
+    """Keep a second process from training the same run, where the system can; raises ConfigError where one does."""
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    with open(run.folder / ".lock", "w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ConfigError(f"{run.folder} is being trained by another process; wait for it, or stop it") from None
+        yield
+
+
 def versions() -> dict[str, str]:
     """What the numbers of a run depend on beyond its config."""
     return {
@@ -183,8 +236,9 @@ class Interrupted(Exception):
 class StopSignal:
     """Turns the first Ctrl-C or SIGTERM into a request that a training looks for; the second acts at once."""
 
-    def __init__(self) -> None:
+    def __init__(self, say: Callable[[str], None] = lambda text: None) -> None:
         self.requested = False
+        self._say = say
 
     def __enter__(self) -> "StopSignal":
         self._before = {number: signal.signal(number, self._note) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -198,3 +252,20 @@ class StopSignal:
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True
+        self._say("stopping as soon as all is kept; once more stops at once")
+
+    def watch(self, progress: Progress) -> Progress:
+        """`progress` that raises Interrupted once a stop is requested, for work of which nothing need be kept."""
+
+        @contextmanager
+        def watched(title: str, total: int) -> Iterator[Callable[[int], None]]:
+            with progress(title, total) as told:
+
+                def tell(count: int) -> None:
+                    told(count)
+                    if self.requested:
+                        raise Interrupted
+
+                yield tell
+
+        return watched

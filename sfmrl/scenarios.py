@@ -11,8 +11,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from sfmrl.config import MIXES, ConfigError, suggest
+from sfmrl.config import ConfigError, suggest
 from sfmrl.placement import CIRCLE, RADIUS, V_PREF, Builder
+from sfmrl.variants import MIXES
 
 ENVIRONMENTS = {
     "1": "people on a circle (0.6) and separate squares (0.4), ten in all",
@@ -70,8 +71,9 @@ class Scenes:
             raise ValueError("start has no robot: row 0 must not be NaN")
         if not np.isfinite(start[~absent]).all() or not np.isfinite(goal[~absent & ~made["square"]]).all():
             raise ValueError("start and goal must be finite for everyone who has a start")
-        if not (made["radius"] > 0).all() or not (made["v_pref"] >= 0).all():
-            raise ValueError("radius must be above 0 m and v_pref not below 0 m/s")
+        sizes = np.stack((made["radius"], made["v_pref"]))
+        if not np.isfinite(sizes).all() or not (sizes[0] > 0).all() or not (sizes[1] >= 0).all():
+            raise ValueError("radius must be above 0 m and v_pref not below 0 m/s, both finite")
         goal[made["square"]] = start[made["square"]]
         start[absent] = goal[absent] = np.nan
         for name, value in made.items():
@@ -133,9 +135,12 @@ def sample_scenes(
     has 11 rows an episode, people before squares. Raises ConfigError on names it does not know.
     """
     shares = parse_mix(environment)
-    numbers = np.arange(episodes) if isinstance(episodes, (int, np.integer)) else np.asarray(episodes, dtype=int)
-    if (numbers < 0).any():
-        raise ConfigError("episodes are counted from 0")
+    numbers = np.asarray(episodes)
+    if not np.issubdtype(numbers.dtype, np.integer) or numbers.ndim > 1 or (numbers < 0).any():
+        raise ConfigError(f"episodes is {episodes!r}; it takes how many, or their numbers, counted from 0")
+    numbers = np.arange(numbers) if numbers.ndim == 0 else numbers
+    if seed < 0 or humans < 0:
+        raise ConfigError(f"seed is {seed} and humans is {humans}; neither may be below 0")
     if phase not in PHASES:
         raise ConfigError(f"there is no phase {phase!r}; choose {', '.join(PHASES)}{suggest(phase, PHASES)}")
     rngs = [generator(seed, phase, number) for number in numbers]

@@ -13,16 +13,18 @@ import pyrvo
 import torch
 from rich.console import Console
 
-from sfmrl.config import Reward, Simulation, make_config
+from sfmrl.config import Reward, Simulation
 from sfmrl.crowd import CROWDS, World
 from sfmrl.episodes import Record, play_episodes
+from sfmrl.exploration import explore, remember
 from sfmrl.imitation import demonstrate, fill_memory, make_memory
+from sfmrl.learner import Learner
 from sfmrl.learning import OPTIMIZERS, learn
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import SarlPolicy, orca_policy
 from sfmrl.progress import no_progress
-from sfmrl.reinforcement import Learner, explore, remember
 from sfmrl.scenarios import sample_scenes
+from sfmrl.variants import make_config
 
 console = Console(highlight=False)
 SCENES = {"10 humans": "circle", "barrier, 5 humans": "2"}

@@ -12,7 +12,7 @@ import pytest
 from conftest import ROOT, environment
 
 from sfmrl.cli import main
-from sfmrl.config import make_config
+from sfmrl.variants import make_config
 
 Call = Callable[..., subprocess.CompletedProcess]
 TINY_IL = ("--episodes", "6", "--epochs", "2")

@@ -10,9 +10,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sfmrl.config import Config, Imitation, Reinforcement, Simulation, make_config, override
+from sfmrl.config import Config, Imitation, Reinforcement, Simulation, override
 from sfmrl.episodes import Record, play, returns_of
 from sfmrl.evaluation import evaluate
+from sfmrl.exploration import epsilon, explore, remember
 from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
 from sfmrl.learner import Learner, follow
 from sfmrl.learning import OPTIMIZERS, SCHEDULES, Fit, generator_state, learn, set_generator_state
@@ -20,8 +21,9 @@ from sfmrl.memory import Memory
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import SarlPolicy
 from sfmrl.progress import no_progress
-from sfmrl.reinforcement import due, epsilon, explore, remember
+from sfmrl.reinforcement import due
 from sfmrl.scenarios import sample_scenes
+from sfmrl.variants import make_config
 
 
 def random_batch(seed: int, count: int = 6, elements: int = 3) -> tuple[torch.Tensor, torch.Tensor]:

@@ -13,12 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import nn
 
-from sfmrl.config import Config, ConfigError, make_config
+from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import evaluate
 from sfmrl.files import DamagedFile
 from sfmrl.network import ValueNetwork, load_weights, save_weights
 from sfmrl.policies import load_policy
 from sfmrl.states import OWN, column_names
+from sfmrl.variants import make_config
 
 
 @pytest.fixture(scope="module")

@@ -15,12 +15,12 @@ import sfmrl
 
 # The house from the ground up: a file imports only from those before it.
 LEVELS = (
-    ("config", "geometry", "files", "progress"),
+    ("config", "variants", "geometry", "files", "progress"),
     ("linear_programs", "polygons", "orca_polygons", "orca", "sfm", "states", "network"),
     ("placement", "scenarios", "rewards", "crowd", "policies", "episodes"),
-    ("evaluation", "memory", "learning", "learner", "runs", "imitation", "reinforcement"),
+    ("evaluation", "memory", "learning", "learner", "exploration", "runs", "imitation", "reinforcement"),
     ("canvas", "story", "timeline", "panel", "screen", "replay"),
-    ("options", "console", "cli"),
+    ("options", "console", "session", "cli"),
 )
 ORDER = [name for level in LEVELS for name in level]
 WITH_TORCH = {"network", "memory", "learning", "learner", "runs"}

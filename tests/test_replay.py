@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.text import Text
 
 from sfmrl.canvas import Canvas, View, fit_view
-from sfmrl.config import Reward, Simulation, make_config
+from sfmrl.config import Reward, Simulation
 from sfmrl.episodes import Record, play
 from sfmrl.panel import SHADES, action_disc
 from sfmrl.policies import ACTIONS, Lookahead, SarlPolicy
@@ -20,6 +20,7 @@ from sfmrl.replay import make_frames, play_live, scene_picture, strip
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenarios import Scenes, sample_scenes
 from sfmrl.screen import Player
+from sfmrl.variants import make_config
 
 SIZES = [(80, 24), (120, 40), (60, 16), (40, 12), (200, 50), (20, 8), (9, 4), (1, 1)]
 

@@ -14,13 +14,14 @@ import pytest
 import torch
 from conftest import environment
 
-from sfmrl.config import Config, ConfigError, make_config
+from sfmrl.config import Config, ConfigError
 from sfmrl.files import SUMS, DamagedFile, read_checked, read_sums, write_atomically
 from sfmrl.imitation import DEMONSTRATIONS, imitate, load_demonstrations
 from sfmrl.network import load_weights
 from sfmrl.policies import WEIGHTS, load_policy
 from sfmrl.progress import no_progress
 from sfmrl.runs import Interrupted, Run, StopSignal, create_run, newest_run, open_run, run_folders
+from sfmrl.variants import make_config
 
 TINY = make_config(imitation={"episodes": 10, "epochs": 3}, simulation={"time_limit": 14.0})
 
@@ -182,6 +183,7 @@ def test_new_runs_are_named_by_kind_variant_and_seed_and_never_reused(tmp_path, 
     monkeypatch.chdir(tmp_path)
     names = [create_run("rl", make_config(variant="sarl-sfm6", seed=4), None, imitation=None).folder for _ in range(3)]
     assert [str(name) for name in names] == [f"runs/rl-sarl-sfm6-seed4{end}" for end in ("", "-2", "-3")]
+    Path("my.py").write_text("def hurry(transition, settings):\n    return 0 * transition.time\n")
     own = make_config(reward={"reward": "my.py:hurry"}, forces=True)
     assert create_run("il", own, None).folder.name == "il-custom-hurry-forces-seed0"
     assert set(run_folders("rl")) == set(names)
@@ -326,4 +328,4 @@ def test_a_killed_reinforcement_goes_on_to_the_same_bits(workshop):
     assert len(metrics.read_text().splitlines()) == 25
     assert len((killed / "validation.csv").read_text().splitlines()) == 4
     facts = json.loads((killed / "run.json").read_text())
-    assert (facts["kind"], facts["imitation"]) == ("rl", "il")
+    assert (facts["kind"], facts["imitation"]) == ("rl", "../il")

@@ -1,0 +1,62 @@
+"""Exploration: training episodes with random actions among the greedy ones, and what is kept of them.
+
+Two kinds of value to learn: `td`, the reward plus the target network's value of the next state; and `returns`, the
+discounted rewards that really followed, up to the next random action, from where the target network speaks. Every
+random number comes from the seed and the episode's number, so what is played side by side changes none.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sfmrl.config import Config, Reinforcement
+from sfmrl.crowd import World
+from sfmrl.episodes import Record, play_episodes, returns_of
+from sfmrl.learner import Learner
+from sfmrl.policies import ACTIONS, Policy, step_discount
+from sfmrl.scenarios import generator, sample_scenes
+
+
+def explore(policy: Policy, config: Config, episodes: Sequence[int]) -> tuple[Record, np.ndarray]:
+    """Play training episodes with epsilon-greedy actions; their record, and which steps (E, T) were random."""
+    settings = config.reinforcement
+    scenes = sample_scenes(settings.environment, episodes, config.seed, phase="train")
+    most = config.simulation.longest
+    rngs = [generator(config.seed, "exploration", episode) for episode in episodes]
+    random_steps = np.array([rng.random(most) for rng in rngs]) < epsilon(settings, np.array(episodes))[:, None]
+    picks = ACTIONS[np.array([rng.integers(len(ACTIONS), size=most) for rng in rngs])]  # (E, T, 2)
+
+    def epsilon_greedy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
+        at = (world.episode, world.steps)
+        action = picks[at] * world.v_pref[:, :1]
+        greedy = np.flatnonzero(~random_steps[at])
+        if len(greedy):
+            action[greedy] = policy(world.take(greedy), crowd_velocity[greedy])
+        return action
+
+    record = play_episodes(scenes, epsilon_greedy, config.reward, config.simulation, discount=config.discount)
+    return record, random_steps[:, : record.reward.shape[1]]
+
+
+def epsilon(settings: Reinforcement, episode: np.ndarray) -> np.ndarray:
+    """The share of random actions in training episodes, a straight line and then level: (E,)."""
+    progress = np.minimum(episode / settings.epsilon_episodes, 1.0)
+    return settings.epsilon_start + (settings.epsilon_end - settings.epsilon_start) * progress
+
+
+def remember(learner: Learner, record: Record, random_steps: np.ndarray) -> None:
+    """Store the states of a record with the values to learn for them."""
+    config, settings = learner.config, learner.config.reinforcement
+    kept = np.flatnonzero((record.outcome != "timeout") | settings.keep_timeouts)
+    if not len(kept):
+        return
+    record, random_steps = record.take(kept), random_steps[kept]
+    states, played = record.states(config.forces), record.played
+    # A state's value is asked of the target network where the step before it bootstraps from it.
+    asked = random_steps & played if settings.targets == "returns" else played.copy()
+    asked[:, 0] = False
+    guess = np.full(played.shape, np.nan)
+    if asked.any():
+        guess[asked] = learner.target.evaluate(states[asked[played]])[0]
+    step = step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation)
+    learner.memory.push(states, returns_of(record.reward, step, guess)[played])

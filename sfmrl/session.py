@@ -1,0 +1,89 @@
+"""What the commands share: from options to configs, runs, policies and threads, and a training that can be stopped."""
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from sfmrl.config import Config, ConfigError, override
+from sfmrl.console import err, say
+from sfmrl.variants import make_config
+
+
+def new_config(variant: str | None, settings: dict[str, Any]) -> Config:
+    """The config of a new training from the options that were given."""
+    preset = settings.pop("preset", "quick")
+    place, colon, function = settings.get("reward", {}).get("reward", "").rpartition(":")
+    if place.endswith(".py"):  # found again from wherever the run is used
+        settings["reward"]["reward"] = f"{Path(place).resolve()}{colon}{function}"
+    return make_config(preset, variant or "sarl", **settings)
+
+
+def reopen(kind: str, folder: Path, given: list[Any]) -> Any:
+    """The run to go on with; its settings are its own, so no other may be given."""
+    from sfmrl.runs import open_run
+
+    if any(value is not None for value in given):
+        raise ConfigError(f"--resume takes every setting from {folder}; leave out all but --threads and --device")
+    return open_run(folder, kind)
+
+
+def usable(device: str) -> str:
+    """The name of a torch device, once something has been put there."""
+    import torch
+
+    try:
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        raise ConfigError(f"torch cannot use the device {device!r} here; --device cpu always works") from error
+    return device
+
+
+def use_threads(threads: int | None) -> int:
+    """How many threads to work on; torch itself is kept to one in each, so that their number changes no result."""
+    import torch
+
+    from sfmrl.policies import available_cores
+
+    torch.set_num_threads(1)
+    return threads or available_cores()
+
+
+def train(run: Any, work: Callable[..., Any]) -> Any:
+    """Do a training's work; when it is asked to stop, say how to go on and exit with 130."""
+    from sfmrl.progress import show_progress
+    from sfmrl.rewards import reward_digest
+    from sfmrl.runs import Interrupted, StopSignal, sole_use
+
+    how = f"sfmrl {run.kind} --resume {shlex.quote(str(run.folder))}"
+    if run.finished:
+        raise ConfigError(f"{run.folder} is finished; there is nothing to go on with")
+    say(f"run folder {run.folder}")
+    if run.facts.get("own_reward") != reward_digest(run.config.reward):
+        raise ConfigError(f"{run.config.reward.reward} has changed since {run.folder} began; start a new run with it")
+    with sole_use(run), StopSignal(say) as stop:
+        try:
+            return work(show_progress(err), stop)
+        except (Interrupted, KeyboardInterrupt):
+            say(f"interrupted; go on with: {how}")
+            raise typer.Exit(130) from None
+
+
+def choose(policy: str | None, settings: dict[str, Any], threads: int | None, device: str) -> tuple[Any, str, Config]:
+    """The policy to play, its name, and its config with the options that were given."""
+    from sfmrl.policies import POLICIES, load_policy
+
+    name = policy or newest()
+    chosen = load_policy(name) if name in POLICIES else load_policy(name, use_threads(threads), usable(device))
+    return chosen, name, override(getattr(chosen, "config", Config()), settings)
+
+
+def newest() -> str:
+    """The newest finished run, named on standard error."""
+    from sfmrl.runs import newest_run
+
+    folder = str(newest_run())
+    say(f"policy: {folder}")
+    return folder

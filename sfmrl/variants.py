@@ -1,0 +1,74 @@
+"""The paper's variants and the presets, as data: what each changes in the plain config.
+
+The plain config is the paper's SARL; a variant is a row of its table 1, a preset a schedule.
+"""
+
+from typing import Any
+
+from sfmrl.config import Config, ConfigError, override, suggest
+
+# The paper's environments, and the mixes of its two tables (shares add up to 1).
+MIXES = {"table1": "1:0.7,2:0.3", "table2": "2:0.25,3:0.25,4:0.25,5:0.25"}
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "paper": {"preset": "paper"},
+    "quick": {
+        "preset": "quick",
+        "value_prior": True,
+        "collision_ends": True,
+        "imitation": {
+            "episodes": 1000,
+            "epochs": 6,
+            "batch_size": 200,
+            "optimizer": "adam",
+            "learning_rate": 2e-3,
+            "schedule": "one-cycle",
+        },
+        "reinforcement": {
+            "episodes": 3000,
+            "parallel": 32,
+            "overlap": True,
+            "batches": 6,
+            "batch_size": 200,
+            "optimizer": "adam",
+            "learning_rate": 5e-4,
+            "schedule": "linear",
+            "epsilon_start": 0.2,
+            "epsilon_end": 0.05,
+            "epsilon_episodes": 500,
+            "targets": "returns",
+            "keep_timeouts": True,
+            "average": 300,
+        },
+    },
+}
+
+# The seven rows of the paper's table 1.
+VARIANTS: dict[str, dict[str, Any]] = {
+    "sarl": {},
+    "sarl-sfm": {"reward": {"reward": "sfm-discount"}},
+    "sarl-sfm2": {"reward": {"reward": "sfm"}},
+    "sarl-sfm3": {"reward": {"reward": "sfm"}, "reinforcement": {"environment": "1"}},
+    "sarl-sfm4": {"reward": {"reward": "sfm", "k": 0.003}},
+    "sarl-sfm5": {"forces": True},
+    "sarl-sfm6": {"forces": True, "reward": {"reward": "sfm"}},
+}
+
+
+def make_config(preset: str = "quick", variant: str = "sarl", **changes: Any) -> Config:
+    """The config of a preset and a variant with single settings changed; raises ConfigError on unknown names."""
+    for kind, name, table in (("preset", preset, PRESETS), ("variant", variant, VARIANTS)):
+        if name not in table:
+            raise ConfigError(f"there is no {kind} {name!r}; choose {', '.join(table)}{suggest(name, table)}")
+    return override(override(override(Config(), PRESETS[preset]), VARIANTS[variant]), changes)
+
+
+def variant_name(config: Config) -> str:
+    """The paper's name for a config's reward, state and environments, or a description where it has none."""
+    for name in VARIANTS:
+        known = make_config(config.preset, name)
+        same = (config.reward, config.forces, config.reinforcement.environment)
+        if same == (known.reward, known.forces, known.reinforcement.environment):
+            return name
+    reward = config.reward.reward.rpartition(":")[2]
+    return f"custom-{reward}{'-forces' if config.forces else ''}"
