@@ -159,6 +159,10 @@ def test_stopping_keeps_a_checkpoint_and_raises(tmp_path, finished):
     run = create_run("il", TINY, tmp_path / "run")
     stop = StopSignal()
     stop.requested = True
+    with pytest.raises(Interrupted):  # of demonstrations nothing is kept until all are there
+        imitate(run, no_progress, stop)
+    assert run.load_checkpoint() is None
+    write_atomically(run.folder / DEMONSTRATIONS, lambda file: file.write((finished / DEMONSTRATIONS).read_bytes()))
     for epoch in (1, 2, 3):
         with pytest.raises(Interrupted):
             imitate(run, no_progress, stop)
