@@ -20,7 +20,7 @@ from sfmrl.sfm import sfm_velocities
 from sfmrl.states import robot_states
 
 WEIGHTS = "weights.pt"  # a run's trained network, in its folder
-BLOCK = 4  # episodes looked at together: few enough for their layers to stay in the processor's cache
+BLOCK = 8  # episodes looked at together: few enough for their layers to stay in the processor's cache
 
 Policy = Callable[[World, np.ndarray], np.ndarray]
 
