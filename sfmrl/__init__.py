@@ -21,7 +21,7 @@ _HOME = {
     "crowd": ("World", "reset", "crowd_velocities", "transition", "advance"),
     "policies": ("ACTIONS", "SarlPolicy", "load_policy"),
     "episodes": ("Record", "play"),
-    "evaluation": ("evaluate", "metrics", "wilson"),
+    "evaluation": ("evaluate", "evaluation_record", "metrics", "wilson"),
 }
 _WHERE = {name: module for module, names in _HOME.items() for name in names}
 __all__ = sorted([*_WHERE, "__version__"])

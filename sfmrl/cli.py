@@ -41,7 +41,7 @@ PolicyName = Annotated[
 ]
 Environment = Annotated[
     str | None,
-    option(f"1 to 5, circle, {', '.join(MIXES)}, or shares as in 1:0.7,2:0.3 (default the policy's test mix)"),
+    option(f"1 to 5, circle, circle5, {', '.join(MIXES)} or shares, 1:0.7,2:0.3 (default the policy's test mix)"),
 ]
 
 
@@ -128,7 +128,7 @@ def evaluate_command(
     settings: dict[str, Any],
 ) -> None:
     """Test a policy: success, collisions, time-outs, navigation time, total reward."""
-    from sfmrl.evaluation import episode_rows, evaluate
+    from sfmrl.evaluation import episode_rows, evaluation_record, metrics
     from sfmrl.progress import show_progress
 
     if csv and csv.is_dir():
@@ -139,7 +139,7 @@ def evaluate_command(
         raise ConfigError(f"there is no folder {csv.parent} for --csv {csv.name}")
     chosen, name, config = choose(policy, settings, threads, device)
     environment = config.reinforcement.test_environment if environment is None else environment
-    result, record = evaluate(
+    record = evaluation_record(
         chosen,
         environment=environment,
         episodes=episodes,
@@ -148,6 +148,7 @@ def evaluate_command(
         simulation=config.simulation,
         progress=show_progress(err),
     )
+    result = metrics(record)
     if csv:
         csv.write_text(csv_text(episode_rows(record)))
     if as_json:

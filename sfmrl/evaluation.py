@@ -14,7 +14,12 @@ from sfmrl.scenarios import sample_scenes
 RATES = ("success", "collision", "timeout")
 
 
-def evaluate(
+def evaluate(policy: str | Policy, **how: Any) -> dict[str, Any]:
+    """The metrics (see `metrics`) of a policy over test episodes; arguments as for `evaluation_record`."""
+    return metrics(evaluation_record(policy, **how))
+
+
+def evaluation_record(
     policy: str | Policy,
     *,
     environment: str = "table1",
@@ -24,10 +29,11 @@ def evaluate(
     simulation: Simulation = Simulation(),
     phase: str = "test",
     progress: Progress = no_progress,
-) -> tuple[dict[str, Any], Record]:
-    """Play test episodes with a policy; its metrics (see `metrics`), and the record they come from.
+) -> Record:
+    """Test episodes played with a policy.
 
-    `reward` (for the total reward) is by default the policy's own, CRI's where it has none.
+    `reward` (for the total reward) is by default the policy's own, CRI's where it has none. Raises ConfigError on names
+    that stand for nothing and on less than one episode.
     """
     if episodes < 1:
         raise ConfigError(f"episodes is {episodes}; it must be at least 1")
@@ -36,8 +42,7 @@ def evaluate(
     settings = own.reward if reward is None else reward if isinstance(reward, Reward) else Reward(reward=reward)
     scenes = sample_scenes(environment, episodes, seed, phase=phase)
     with progress(phase, episodes) as told:
-        record = play_episodes(scenes, chosen, settings, simulation, discount=own.discount, progress=told)
-    return metrics(record), record
+        return play_episodes(scenes, chosen, settings, simulation, discount=own.discount, progress=told)
 
 
 def metrics(record: Record) -> dict[str, Any]:

@@ -21,11 +21,10 @@ from sfmrl.policies import WEIGHTS, orca_policy, step_discount
 from sfmrl.progress import Progress
 from sfmrl.rewards import Transition, reward_terms
 from sfmrl.runs import Interrupted, Run, StopSignal
-from sfmrl.scenarios import Scenes, generator, sample_scenes
+from sfmrl.scenarios import Scenes, elements_of, generator, sample_scenes
 from sfmrl.states import OWN, column_names
 
 DEMONSTRATIONS = "demonstrations.npz"
-ELEMENTS = 10  # around the robot, in each of the paper's environments
 
 
 def imitate(run: Run, progress: Progress, stop: StopSignal, device: str = "cpu") -> ValueNetwork:
@@ -65,7 +64,9 @@ def demonstrate(config: Config, progress: Progress) -> Record:
 
 def make_memory(config: Config) -> Memory:
     """The memory that imitation fills and reinforcement keeps: as many elements as any of their environments has."""
-    return Memory(config.reinforcement.memory, ELEMENTS, len(column_names(config.forces)), len(OWN) + 2 * config.forces)
+    environments = config.imitation.environment, config.reinforcement.environment
+    elements = max(1, *map(elements_of, environments))
+    return Memory(config.reinforcement.memory, elements, len(column_names(config.forces)), len(OWN) + 2 * config.forces)
 
 
 def fill_memory(memory: Memory, record: Record, config: Config) -> None:

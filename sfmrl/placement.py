@@ -24,25 +24,30 @@ ROW2 = np.array([[-0.3, 0.0], [0.3, 0.0]])
 MIDDLE = 1.5  # m: a group's centre is at most so far from the middle in x and in y
 
 
+def people_on_circle(environment: str) -> int:
+    """How many people "circle" (ten) or "circle5" (five) has."""
+    return int(environment.removeprefix("circle") or 10)
+
+
 class Builder:
     """Scenes in the making: places are proposed and accepted for many episodes at once, in each one's own draws."""
 
-    def __init__(self, rngs: list[np.random.Generator], rows: int) -> None:
-        self.rngs = rngs
+    def __init__(self, rngs: list[np.random.Generator], rows: int, circle: float) -> None:
+        self.rngs, self.circle = rngs, circle
         self.start = np.full((len(rngs), rows, 2), np.nan)
         self.goal = np.full((len(rngs), rows, 2), np.nan)
         self.start[:, 0], self.goal[:, 0] = (0.0, -4.0), (0.0, 4.0)
         self.square = np.zeros((len(rngs), rows), dtype=bool)
 
-    def build(self, environment: str, which: np.ndarray, humans: int, circle: float) -> None:
+    def build(self, environment: str, which: np.ndarray) -> None:
         """Fill the episodes `which` (indices) with one environment's people and squares."""
-        if environment == "circle":
-            for row in range(1, humans + 1):
-                self._person(which, row, circle)
+        if environment.startswith("circle"):
+            for row in range(1, people_on_circle(environment) + 1):
+                self._person(which, row)
         elif environment == "1":
             people = np.array([(self.rngs[e].random(10) < 0.6).sum() for e in which], dtype=int)
             for row in range(1, 11):
-                self._person(which[people >= row], row, CIRCLE)
+                self._person(which[people >= row], row)
             for row in range(1, 11):
                 self._square(which[people < row], row)
         elif environment == "5":
@@ -58,14 +63,14 @@ class Builder:
                 self._group(which, 6, ROW3, turn=True)
                 self._group(which, 9, ROW2, turn=True)
             for row in range(1, 6):
-                self._person(which, row, CIRCLE)
+                self._person(which, row)
 
-    def _person(self, which: np.ndarray, row: int, circle: float) -> None:
+    def _person(self, which: np.ndarray, row: int) -> None:
         """A person near the circle, bound for the opposite point, clear of all that is there."""
 
         def propose(draws: np.ndarray) -> np.ndarray:  # (n, T, 3) -> start and goal (n, T, 2, 2)
             angle = 2 * np.pi * draws[..., 0]
-            start = circle * np.stack((np.cos(angle), np.sin(angle)), -1) + NOISE * (2 * draws[..., 1:] - 1)
+            start = self.circle * np.stack((np.cos(angle), np.sin(angle)), -1) + NOISE * (2 * draws[..., 1:] - 1)
             return np.stack((start, -start), axis=2)
 
         def fits(places: np.ndarray, episodes: np.ndarray) -> np.ndarray:

@@ -57,7 +57,7 @@ def reinforce(
             simulation=config.simulation,
             phase=phase,
             progress=stop.watch(progress),
-        )[0]
+        )
 
     while True:
         if due(learner, settings):

@@ -82,7 +82,7 @@ class Run:
         except DamagedFile as error:
             before = f"to go on from {saved[-2].name}" if len(saved) > 1 else "to start this run anew"
             raise DamagedFile(f"{error}; delete it {before}") from None
-        return torch.load(io.BytesIO(data), weights_only=True)
+        return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
 
     def write_table(self, name: str, rows: list[dict[str, Any]]) -> None:
         """A CSV file with a line a row, whole or as it was."""

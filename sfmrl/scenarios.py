@@ -6,13 +6,14 @@ episodes at once. A square stands in the arrays as a resting row of its own (the
 its outline as a polygon.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from sfmrl.config import ConfigError, suggest
-from sfmrl.placement import CIRCLE, RADIUS, V_PREF, Builder
+from sfmrl.placement import CIRCLE, RADIUS, V_PREF, Builder, people_on_circle
 from sfmrl.variants import MIXES
 
 ENVIRONMENTS = {
@@ -21,7 +22,7 @@ ENVIRONMENTS = {
     "3": "a concave barrier somewhere in the middle, five people",
     "4": "a row of three squares and a row of two, five people",
     "5": "a concave barrier, a row of three and a row of two, nobody",
-    "circle": "people on a circle, no squares (CrowdNav)",
+    "circle": "ten people on a circle, no squares (CrowdNav); circle5 has five",
 }
 PHASES = ("train", "validation", "test", "imitation")
 STREAMS = (*PHASES, "fit", "batches", "exploration")  # everything that draws random numbers
@@ -102,7 +103,7 @@ def parse_mix(text: str) -> dict[str, float]:
     shares: dict[str, float] = {}
     for part in MIXES.get(text, text).split(","):
         name, colon, share = part.strip().partition(":")
-        if name not in ENVIRONMENTS:
+        if name not in ENVIRONMENTS and not re.fullmatch(r"circle\d+", name):
             known = [*ENVIRONMENTS, *MIXES]
             raise ConfigError(f"there is no environment {name!r}; choose {', '.join(known)}{suggest(name, known)}")
         try:
@@ -112,6 +113,11 @@ def parse_mix(text: str) -> dict[str, float]:
     if not all(0 <= share <= 1 for share in shares.values()) or abs(sum(shares.values()) - 1) > 1e-9:
         raise ConfigError(f"the shares in {text!r} must be from 0 to 1 and add up to 1, as in 1:0.7,2:0.3")
     return shares
+
+
+def elements_of(environment: str) -> int:
+    """The most elements (people and squares) that an episode of an environment, or of a mix, can have."""
+    return max(people_on_circle(name) if name.startswith("circle") else 10 for name in parse_mix(environment))
 
 
 def generator(seed: int, stream: str, *number: int) -> np.random.Generator:
@@ -125,32 +131,30 @@ def sample_scenes(
     seed: int = 0,
     *,
     phase: str = "test",
-    humans: int = 10,
     circle: float = CIRCLE,
 ) -> Scenes:
     """Sample episodes of an environment, or of a mix of them, each from its own seed.
 
     `environment` is one of `ENVIRONMENTS`, a mix such as "1:0.7,2:0.3", or "table1", "table2"; `episodes` is how many,
-    or the numbers of those wanted; `humans` and `circle` (radius, m) are for environment "circle" alone. The result
-    has 11 rows an episode, people before squares. Raises ConfigError on names it does not know.
+    or the numbers of those wanted; `circle` is the radius (m) of the circle that people start on. The result has a row
+    for the robot and one for each element, people before squares. Raises ConfigError on names it does not know.
     """
     shares = parse_mix(environment)
     numbers = np.asarray(episodes)
     if not np.issubdtype(numbers.dtype, np.integer) or numbers.ndim > 1 or (numbers < 0).any():
         raise ConfigError(f"episodes is {episodes!r}; it takes how many, or their numbers, counted from 0")
     numbers = np.arange(numbers) if numbers.ndim == 0 else numbers
-    if seed < 0 or humans < 0:
-        raise ConfigError(f"seed is {seed} and humans is {humans}; neither may be below 0")
+    if seed < 0:
+        raise ConfigError(f"seed is {seed}; it may not be below 0")
     if phase not in PHASES:
         raise ConfigError(f"there is no phase {phase!r}; choose {', '.join(PHASES)}{suggest(phase, PHASES)}")
     rngs = [generator(seed, phase, number) for number in numbers]
     # One draw decides the environment, also where there is but one: episode 17 of environment 2 is then the same
     # scene as episode 17 of a mix that puts it there.
     draw = np.array([rng.random() for rng in rngs])
-    names = np.array(list(shares), dtype="<U6")
+    names = np.array(list(shares))
     picked = names[np.minimum(np.searchsorted(np.cumsum(list(shares.values())), draw, side="right"), len(names) - 1)]
-    rows = max(humans + 1 if name == "circle" else 11 for name in shares)
-    builder = Builder(rngs, rows)
+    builder = Builder(rngs, 1 + elements_of(environment), circle)
     for name in shares:
-        builder.build(name, np.flatnonzero(picked == name), humans, circle)
+        builder.build(name, np.flatnonzero(picked == name))
     return Scenes(builder.start, builder.goal, square=builder.square, environment=picked, episode=numbers)

@@ -164,7 +164,7 @@ def test_people_who_do_not_see_the_robot_walk_the_same_way_whatever_it_does(crow
 
 @pytest.mark.parametrize("crowd", ["orca", "sfm"])
 def test_squares_rest_and_absent_rows_stay_absent(crowd):
-    scenes = sample_scenes("circle:0.5,2:0.5", 6, humans=4)
+    scenes = sample_scenes("circle4:0.5,2:0.5", 6)
     assert np.isnan(scenes.start).any()
     assert scenes.square.any()
     record = play(scenes, "orca", crowd=crowd)

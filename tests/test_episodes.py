@@ -67,7 +67,7 @@ def test_an_episode_alone_and_in_a_batch_with_a_network(value_prior, threads, to
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_network_s_values_have_the_same_bits_whatever_shares_the_batch(threads):
     """Values, not only the actions taken: also of scenes with absent rows, whose batch has some without."""
-    scenes = sample_scenes("circle:0.5,1:0.5", 30, humans=4)
+    scenes = sample_scenes("circle4:0.5,1:0.5", 30)
     policy = SarlPolicy(ValueNetwork(value_prior=True), Config(value_prior=True), threads)
     worlds = play(scenes, "linear").worlds().take(np.arange(0, 600, 15))
     moves = worlds.velocity

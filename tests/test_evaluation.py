@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 
 from sfmrl.config import Reward, Simulation
 from sfmrl.episodes import Record
-from sfmrl.evaluation import episode_rows, evaluate, metrics, wilson
+from sfmrl.evaluation import episode_rows, evaluate, evaluation_record, metrics, wilson
 from sfmrl.files import csv_text
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenarios import Scenes
@@ -89,7 +89,8 @@ def test_rows_for_a_csv_file():
 
 @pytest.mark.parametrize("mix", ["table1", "table2"])
 def test_the_environments_rows_add_up_to_the_whole(mix):
-    result, record = evaluate("orca", environment=mix, episodes=40)
+    record = evaluation_record("orca", environment=mix, episodes=40)
+    result = metrics(record)
     parts = result["environments"].values()
     assert sum(part["episodes"] for part in parts) == result["episodes"] == len(record.steps) == 40
     for name in ("success", "collision", "timeout", "total_reward"):
@@ -102,22 +103,24 @@ def test_the_environments_rows_add_up_to_the_whole(mix):
 
 
 def test_one_environment_has_no_rows_of_its_own():
-    result, _ = evaluate("linear", environment="2", episodes=3)
+    result = evaluate("linear", environment="2", episodes=3)
     assert "environments" not in result
 
 
 def test_the_reward_asked_for_is_the_total_reward_s():
-    sparse, record = evaluate("orca", environment="1", episodes=10)
-    dense, again = evaluate("orca", environment="1", episodes=10, reward=Reward(reward="sfm"))
+    record = evaluation_record("orca", environment="1", episodes=10)
+    sparse = metrics(record)
+    again = evaluation_record("orca", environment="1", episodes=10, reward=Reward(reward="sfm"))
+    dense = metrics(again)
     np.testing.assert_array_equal(record.steps, again.steps)
     assert dense["total_reward"] != sparse["total_reward"]
-    assert evaluate("orca", environment="1", episodes=10, reward="sfm")[0] == dense
+    assert evaluate("orca", environment="1", episodes=10, reward="sfm") == dense
 
 
 def test_orca_does_as_the_project_s_reading_says():
     """About 0.75 success and 0.05 collisions in environment 1, about 0.32 success in environment 2."""
-    first, _ = evaluate("orca", environment="1", episodes=200)
-    second, _ = evaluate("orca", environment="2", episodes=200)
+    first = evaluate("orca", environment="1", episodes=200)
+    second = evaluate("orca", environment="2", episodes=200)
     assert binomtest(round(200 * first["success"]), 200, 0.75).pvalue > 1e-3
     assert binomtest(round(200 * first["collision"]), 200, 0.05).pvalue > 1e-3
     assert binomtest(round(200 * second["success"]), 200, 0.32).pvalue > 1e-3

@@ -289,6 +289,6 @@ def test_imitation_improves_on_the_untrained_network():
     assert rows[-1]["loss"] < rows[0]["loss"] / 2
 
     task = {"environment": "circle", "episodes": 12, "simulation": Simulation(time_limit=15.0)}
-    fitted, _ = evaluate(SarlPolicy(fit.network, config), **task)
-    untrained, _ = evaluate(SarlPolicy(new_fit(config, "cpu").network, config), **task)
+    fitted = evaluate(SarlPolicy(fit.network, config), **task)
+    untrained = evaluate(SarlPolicy(new_fit(config, "cpu").network, config), **task)
     assert fitted["success"] >= untrained["success"] + 0.5

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from torch import nn
 
 from sfmrl.config import Config, ConfigError
-from sfmrl.evaluation import evaluate
+from sfmrl.evaluation import evaluation_record, metrics
 from sfmrl.files import DamagedFile
 from sfmrl.network import ValueNetwork, load_weights, save_weights
 from sfmrl.policies import load_policy
@@ -185,7 +185,8 @@ def test_a_plain_crowdnav_checkpoint_is_a_policy(tmp_path, crowdnav_weights):
     policy = load_policy(path)
     assert policy.config.reward.reward == "crowd"
     assert not policy.config.forces
-    result, record = evaluate(policy, environment="circle", episodes=2)
+    record = evaluation_record(policy, environment="circle", episodes=2)
+    result = metrics(record)
     assert result["episodes"] == 2
     assert result["success"] + result["collision"] + result["timeout"] == 1
     assert (record.scenes.environment == "circle").all()

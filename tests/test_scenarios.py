@@ -157,7 +157,7 @@ def test_environment_5_has_the_barrier_of_environment_3_and_nobody(scenes):
 @pytest.mark.parametrize("people", [0, 5, 20])
 def test_circle_with_any_number_of_people(people):
     radius = 4.0 if people < 20 else 8.0
-    scene = sample_scenes("circle", 20, humans=people, circle=radius)
+    scene = sample_scenes(f"circle{people}", 20, circle=radius)
     assert scene.start.shape == (20, people + 1, 2)
     assert not scene.square.any()
     if people:
@@ -214,7 +214,7 @@ def test_phases_and_seeds_never_share_a_scene():
         (lambda: sample_scenes("1:nan", 1), "from 0 to 1"),
         (lambda: sample_scenes("1", 1, phase="tset"), "did you mean test"),
         (lambda: sample_scenes("1", [-1]), "counted from 0"),
-        (lambda: sample_scenes("circle", 1, humans=60), "fewer people or a larger circle"),
+        (lambda: sample_scenes("circle60", 1), "fewer people or a larger circle"),
     ],
 )
 def test_errors_name_the_remedy(call, remedy):
