@@ -172,6 +172,7 @@ class Config:
     discount: float = knob(0.9, "discount per second at 1 m/s (CRI's gamma)", least=0, most=1)
     value_prior: bool = knob(False, "write the value as 0.9^(goal distance - 0.3) (0.8 + network)")
     collision_ends: bool = knob(False, "when looking ahead, a collision has no value beyond its reward")
+    avoid_traps: bool = knob(False, "pass over an action after which every action collides, where another does not")
     simulation: Simulation = field(default_factory=Simulation)
     reward: Reward = field(default_factory=Reward)
     imitation: Imitation = field(default_factory=Imitation)

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from sfmrl.config import CROWD_FORCE, Config, ConfigError, Simulation, suggest
-from sfmrl.crowd import World, orca_crowd, transition
-from sfmrl.rewards import COLLISION, reward_terms, total
+from sfmrl.crowd import World, advance, orca_crowd, transition
+from sfmrl.rewards import COLLISION, RUNNING, reward_terms, total
 from sfmrl.sfm import sfm_velocities
 from sfmrl.states import robot_states
 
@@ -147,7 +147,9 @@ class SarlPolicy:
         blocks = [slice(e, e + BLOCK) for e in range(0, len(world), BLOCK)]
         values = list(self._pool.map(lambda rows: self._values(world, crowd_velocity, actions, rows), blocks))
         values = np.concatenate(values) if values else np.zeros(actions.shape[:2])
-        return Lookahead(actions, values, values.argmax(1))
+        wary = self.config.avoid_traps
+        best = best_untrapped(world, crowd_velocity, actions, values) if wary else values.argmax(1)
+        return Lookahead(actions, values, best)
 
     def attention(self, world: World) -> np.ndarray:
         """The share of attention each element gets in the world as it is, (E, K)."""
@@ -185,6 +187,29 @@ def worker_threads(count: int) -> ThreadPoolExecutor:
     import torch
 
     return ThreadPoolExecutor(count, initializer=lambda: torch.set_num_threads(1))
+
+
+def best_untrapped(world: World, crowd_velocity: np.ndarray, actions: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The most valuable actions (E,) that neither collide nor lead where every action (E, A, 2) does.
+
+    Exact without another step of the crowd: a collision is judged by the velocities that people had before the step,
+    and those of the next step are the `crowd_velocity` (E, N, 2) of this one. The most valuable of all where none is
+    free.
+    """
+    best = values.argmax(1)
+    outcome = transition(world, actions).outcome  # (E, A)
+    left = np.where(outcome == COLLISION, -np.inf, values)
+    pending = np.flatnonzero(outcome[np.arange(len(best)), best] == RUNNING)
+    while len(pending):
+        choice = left[pending].argmax(1)
+        after = advance(world.take(pending), crowd_velocity[pending], actions[pending, choice])
+        trapped = (transition(after, actions[pending]).outcome == COLLISION).all(1)
+        trapped &= outcome[pending, choice] == RUNNING
+        best[pending[~trapped]] = choice[~trapped]
+        left[pending[trapped], choice[trapped]] = -np.inf
+        pending = pending[trapped]
+        pending = pending[np.isfinite(left[pending]).any(1)]
+    return best
 
 
 def step_discount(discount: float, v_pref: np.ndarray, simulation: Simulation) -> np.ndarray:

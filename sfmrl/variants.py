@@ -16,6 +16,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "preset": "quick",
         "value_prior": True,
         "collision_ends": True,
+        "avoid_traps": True,
         "imitation": {
             "episodes": 1000,
             "epochs": 6,

@@ -1,0 +1,66 @@
+"""Policies beyond what playing shows: the 81 actions, and passing over actions that lead into a trap."""
+
+import numpy as np
+from conftest import DATA
+
+from sfmrl.config import Config
+from sfmrl.crowd import World, advance, crowd_velocities, reset, transition
+from sfmrl.network import ValueNetwork
+from sfmrl.policies import ACTIONS, SarlPolicy, best_untrapped
+from sfmrl.rewards import COLLISION, RUNNING
+from sfmrl.scenarios import Scenes
+
+
+def crowded(episodes: int, seed: int) -> World:
+    """The robot among six people close by, who walk in all directions."""
+    rng = np.random.default_rng(seed)
+    angle, reach = rng.uniform(0, 2 * np.pi, (episodes, 6)), rng.uniform(0.62, 0.9, (episodes, 6))
+    around = reach[..., None] * np.stack((np.cos(angle), np.sin(angle)), -1)
+    start = np.concatenate((np.zeros((episodes, 1, 2)), around), axis=1)
+    world = reset(Scenes(start, start + 3))
+    velocity = rng.uniform(-1, 1, world.velocity.shape)
+    return World(**{**vars(world), "velocity": velocity})
+
+
+def is_free(world: World, moves: np.ndarray, action: np.ndarray) -> bool:
+    """Whether an action neither collides nor leads where all do, by brute force, for a world of one episode."""
+    if transition(world, action[None]).outcome[0] != RUNNING:
+        return transition(world, action[None]).outcome[0] != COLLISION
+    after = advance(world, moves, action[None])
+    return any(transition(after, following[None]).outcome[0] != COLLISION for following in ACTIONS)
+
+
+def test_the_best_action_that_is_no_trap_is_found_wherever_there_is_one():
+    world = crowded(40, seed=0)
+    moves = np.random.default_rng(1).uniform(-1, 1, world.velocity.shape)
+    values = np.random.default_rng(2).normal(size=(40, 81))
+    actions = np.broadcast_to(ACTIONS, (40, 81, 2))
+    found = best_untrapped(world, moves, actions, values)
+    passed_over = hopeless = 0
+    for e in range(40):
+        one = world.take(np.array([e]))
+        free = [a for a in range(81) if is_free(one, moves[[e]], ACTIONS[a])]
+        best = values[e].argmax()
+        collides = transition(one, ACTIONS[[best]]).outcome[0] == COLLISION  # then no lookahead would choose it
+        wanted = max(free, key=lambda a: values[e, a]) if free and not collides else best
+        assert found[e] == wanted
+        passed_over += wanted != best
+        hopeless += not free
+    assert passed_over > 0
+    assert hopeless > 0  # the scenes are tight enough to try all three cases
+    assert passed_over + hopeless < 40
+
+
+def test_traps_are_avoided_by_the_policy_only_when_the_config_says_so():
+    world, network = crowded(40, seed=3), ValueNetwork()
+    moves = crowd_velocities(world)
+    bold = SarlPolicy(network, Config()).lookahead(world, moves)
+    wary = SarlPolicy(network, Config(avoid_traps=True)).lookahead(world, moves)
+    np.testing.assert_array_equal(bold.values, wary.values)
+    np.testing.assert_array_equal(bold.best, bold.values.argmax(1))
+    assert (bold.best != wary.best).any()
+
+
+def test_the_81_actions_are_stop_and_five_speeds_in_sixteen_headings():
+    with np.load(DATA / "crowdnav_sarl.npz") as reference:
+        np.testing.assert_allclose(ACTIONS, reference["actions"], atol=1e-12)
