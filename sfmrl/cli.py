@@ -196,7 +196,7 @@ def ascii_render(
     scene = sample_scenes(environment, [episode], seed)
     record = play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount)
     pictures = replay.make_frames(
-        record, 0, policy=chosen, label=name, reward=config.reward, discount=config.discount, **size
+        record, 0, policy=chosen, label=Path(name).name, reward=config.reward, discount=config.discount, **size
     )
     if frames or not out.is_terminal or out.is_dumb_terminal:
         for picture in replay.strip(pictures, frames or 6):

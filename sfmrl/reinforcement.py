@@ -65,7 +65,7 @@ def reinforce(
             row = {"episode": learner.episode} | {name: rates[name] for name in VALIDATED}
             learner.validations.append(row)
             run.append_rows("validation.csv", [row])
-            say(f"validation at {learner.episode} of {settings.episodes} episodes: {summary(rates)}")
+            say(f"validation at {learner.episode} of {settings.episodes}: {summary(rates)}")
         if learner.episode >= settings.episodes:
             break
         train_stretch(run, learner, progress, stop, threads)
@@ -213,4 +213,4 @@ def due(learner: Learner, settings: Reinforcement) -> bool:
 
 def summary(rates: dict[str, Any]) -> str:
     """Metrics in a line."""
-    return ", ".join(f"{name} {rates[name]:.3f}" for name in ("success", "collision", "timeout", "total_reward"))
+    return ", ".join(f"{name} {rates[name]:.3f}" for name in ("success", "collision", "timeout"))

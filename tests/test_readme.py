@@ -1,0 +1,37 @@
+"""What the README shows works as printed: its Python, its own reward, and the commands it names."""
+
+import re
+import shlex
+
+from conftest import ROOT
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL)
+
+
+def test_the_python_blocks_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    blocks = [code for language, code in BLOCKS if language == "python"]
+    assert len(blocks) >= 2
+    for code in blocks:
+        exec(compile(code, "README.md", "exec"), {"__name__": "readme"})
+    assert "success" in capsys.readouterr().out
+
+
+def test_the_own_reward_runs_under_the_command_that_is_shown(sfmrl, tmp_path):
+    code = next(code for language, code in BLOCKS if code.startswith("# my_reward.py: sfmrl rl"))
+    (tmp_path / "my_reward.py").write_text(code)
+    name = re.search(r"--reward (\S+)", code)[1]
+    done = sfmrl("eval", "orca", "--episodes", "3", "--reward", name)
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_command_and_flag_it_names_exists(sfmrl):
+    helps: dict[str, str] = {}
+    for line in re.findall(r"sfmrl (?:il|rl|eval|ascii-render)[^`\n#|&]*", README):
+        words = shlex.split(line.replace("...", ""), posix=True)
+        command = words[1]
+        helps.setdefault(command, sfmrl(command, "--help").stdout)
+        for flag in (word for word in words if word.startswith("--")):
+            assert flag in helps[command], line
+    assert set(helps) == {"il", "rl", "eval", "ascii-render"}
