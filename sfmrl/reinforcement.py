@@ -200,7 +200,7 @@ def same_task(one: Config, other: Config) -> bool:
     """Whether a network fitted under one config is what the other would have fitted to the same demonstrations."""
     return all(
         getattr(one, name) == getattr(other, name)
-        for name in ("seed", "forces", "discount", "value_prior", "reward", "imitation")
+        for name in ("forces", "discount", "value_prior", "reward", "imitation")
     )
 
 
