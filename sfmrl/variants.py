@@ -26,7 +26,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "schedule": "one-cycle",
         },
         "reinforcement": {
-            "episodes": 3000,
+            "episodes": 1500,
             "parallel": 32,
             "overlap": True,
             "batches": 6,
