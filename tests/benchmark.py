@@ -27,7 +27,7 @@ from sfmrl.progress import no_progress
 from sfmrl.scenarios import Scenes, sample_scenes
 from sfmrl.variants import make_config
 
-console = Console(highlight=False)
+console = Console(highlight=False, soft_wrap=True)
 SCENES = ("10 humans", "10 humans, barrier", "5 humans, barrier")
 CORES = torch.get_num_threads()
 
@@ -56,7 +56,7 @@ def simulator() -> None:
             whole, orca, record = played(title, batch)
             rvo2 = rvo2_microseconds(record)
             numbers = f"{1e6 / whole:12,.0f}" + "".join(f"{number:12.1f}" for number in (whole, orca, rvo2))
-            console.print(f"{title:18} {batch:4}{numbers}{rvo2 / orca:12.2f}{rvo2 / whole:12.2f}", soft_wrap=True)
+            console.print(f"{title:18} {batch:4}{numbers}{rvo2 / orca:12.2f}{rvo2 / whole:12.2f}")
 
 
 def played(title: str, batch: int) -> tuple[float, float, Record]:
