@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sfmrl.config import ConfigError
+from sfmrl.config import Config, ConfigError
 from sfmrl.console import err, out, print_metrics, replay_command, say, say_result
 from sfmrl.files import DamagedFile, csv_text
 from sfmrl.options import settings_options
@@ -68,7 +68,13 @@ def il(
     else:
         current = create_run("il", new_config(variant, settings), run, overwrite=overwrite)
     train(current, lambda progress, stop: imitate(current, progress, stop, device))
-    say(f"done: {current.folder}; next: sfmrl rl --reward sfm, or sfmrl eval {current.folder}")
+    plain, config = Config(), current.config
+    flags = "".join(
+        f" --{name} {getattr(config, name)}"
+        for name in ("preset", "seed")
+        if getattr(config, name) != getattr(plain, name)
+    )
+    say(f"done: {current.folder}; next: sfmrl rl --reward sfm{flags}, or sfmrl eval {current.folder}")
 
 
 @app.command(epilog="Example: sfmrl rl --reward sfm --episodes 3000")
