@@ -162,11 +162,10 @@ def evaluate_command(
         return
     print_metrics(result, f"{name}, environment {environment}, {episodes} episodes, seed {seed}")
     if result["failures"]:
-        first = result["failures"][0]
-        say(
-            f"{len(result['failures'])} failed; see one: "
-            + replay_command(policy, environment, seed, first["episode"], settings)
-        )
+        failed = [failure["episode"] for failure in result["failures"]]
+        listed = ", ".join(map(str, failed[:12])) + (", ..." if len(failed) > 12 else "")
+        see = replay_command(policy, environment, seed, failed[0], settings)
+        say(f"{len(failed)} episodes ({listed}) failed; see one: {see}")
 
 
 @app.command("ascii-render", epilog="Example: sfmrl ascii-render orca --environment 3 --episode 17")
