@@ -22,24 +22,27 @@ def evaluate(policy: str | Policy, **how: Any) -> dict[str, Any]:
 def evaluation_record(
     policy: str | Policy,
     *,
-    environment: str = "table1",
+    environment: str | None = None,
     episodes: int = 500,
     seed: int = 0,
     reward: str | Reward | None = None,
-    simulation: Simulation = Simulation(),
+    simulation: Simulation | None = None,
     phase: str = "test",
     progress: Progress = no_progress,
 ) -> Record:
     """Test episodes played with a policy.
 
-    `reward` (for the total reward) is by default the policy's own, CRI's where it has none. Raises ConfigError on names
-    that stand for nothing and on less than one episode.
+    `environment`, `simulation` and `reward` (for the total reward) are by default those that the policy was trained to
+    be tested in; for a policy that was not trained, table 1's mix and CRI's. Raises ConfigError on names that stand for
+    nothing and on less than one episode.
     """
     if episodes < 1:
         raise ConfigError(f"episodes is {episodes}; it must be at least 1")
     chosen = find_policy(policy)
     own = getattr(chosen, "config", Config())
     settings = own.reward if reward is None else reward if isinstance(reward, Reward) else Reward(reward=reward)
+    environment = own.reinforcement.test_environment if environment is None else environment
+    simulation = own.simulation if simulation is None else simulation
     scenes = sample_scenes(environment, episodes, seed, phase=phase)
     with progress(phase, episodes) as told:
         return play_episodes(scenes, chosen, settings, simulation, discount=own.discount, progress=told)

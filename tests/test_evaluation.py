@@ -12,8 +12,11 @@ from sfmrl.config import Reward, Simulation
 from sfmrl.episodes import Record
 from sfmrl.evaluation import episode_rows, evaluate, evaluation_record, metrics, wilson
 from sfmrl.files import csv_text
+from sfmrl.network import ValueNetwork
+from sfmrl.policies import SarlPolicy
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenarios import Scenes
+from sfmrl.variants import make_config
 
 
 @given(st.integers(1, 2000), st.data())
@@ -124,3 +127,11 @@ def test_orca_does_as_the_project_s_reading_says():
     assert binomtest(round(200 * first["success"]), 200, 0.75).pvalue > 1e-3
     assert binomtest(round(200 * first["collision"]), 200, 0.05).pvalue > 1e-3
     assert binomtest(round(200 * second["success"]), 200, 0.32).pvalue > 1e-3
+
+
+def test_a_trained_policy_is_by_default_tested_where_it_was_trained_to_be():
+    chosen = make_config(simulation={"crowd": "sfm"}, reinforcement={"test_environment": "circle2"})
+    record = evaluation_record(SarlPolicy(ValueNetwork(value_prior=True), chosen), episodes=2)
+    assert record.simulation == chosen.simulation
+    assert list(record.scenes.environment) == ["circle2", "circle2"]
+    assert evaluation_record("linear", episodes=2).simulation == Simulation()
