@@ -61,13 +61,13 @@ def il(
     from sfmrl.imitation import imitate
     from sfmrl.runs import create_run
 
-    use_threads(threads)
+    workers = use_threads(threads)
     device = usable(device)
     if resume:
         current = reopen("il", resume, [variant, run, overwrite or None, *settings.values()])
     else:
         current = create_run("il", new_config(variant, settings), run, overwrite=overwrite)
-    train(current, lambda progress, stop: imitate(current, progress, stop, device))
+    train(current, lambda progress, stop: imitate(current, progress, stop, threads=workers, device=device))
     plain, config = Config(), current.config
     flags = "".join(
         f" --{name} {getattr(config, name)}"

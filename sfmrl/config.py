@@ -169,6 +169,11 @@ class Config:
     seed: int = knob(0, "seed of everything random", least=0)
     preset: str = knob("quick", "schedule: minutes, or as published (hours)", choices=("quick", "paper"))
     forces: bool = knob(False, "social forces in the state: 17 columns instead of 13")
+    precision: str = knob(
+        "fp32",
+        "inner layers of the network in float32, bfloat16 (faster), or auto: bf16 where the processor has it",
+        choices=("fp32", "bf16", "auto"),
+    )
     discount: float = knob(0.9, "discount per second at 1 m/s (CRI's gamma)", least=0, most=1)
     value_prior: bool = knob(False, "write the value as 0.9^(goal distance - 0.3) (0.8 + network)")
     collision_ends: bool = knob(False, "when looking ahead, a collision has no value beyond its reward")

@@ -14,9 +14,9 @@ import numpy as np
 from sfmrl.config import Config, ConfigError, Simulation
 from sfmrl.episodes import Record, play_episodes, returns_of, rewards_of
 from sfmrl.files import read_checked, write_atomically
-from sfmrl.learning import Fit
+from sfmrl.learning import Fit, torch_threads
 from sfmrl.memory import Memory
-from sfmrl.network import ValueNetwork, save_weights
+from sfmrl.network import ValueNetwork, new_network, save_weights
 from sfmrl.policies import WEIGHTS, orca_policy, step_discount
 from sfmrl.progress import Progress
 from sfmrl.rewards import Transition, reward_terms
@@ -27,7 +27,7 @@ from sfmrl.states import OWN, column_names
 DEMONSTRATIONS = "demonstrations.npz"
 
 
-def imitate(run: Run, progress: Progress, stop: StopSignal, device: str = "cpu") -> ValueNetwork:
+def imitate(run: Run, progress: Progress, stop: StopSignal, *, threads: int = 1, device: str = "cpu") -> ValueNetwork:
     """Run or go on with an imitation run to its end; raises Interrupted once `stop` has been requested."""
     config = run.config
     path = run.folder / DEMONSTRATIONS
@@ -49,7 +49,7 @@ def imitate(run: Run, progress: Progress, stop: StopSignal, device: str = "cpu")
             raise Interrupted
 
     run.write_table("metrics.csv", rows)
-    fit_memory(fit, memory, progress, keep)
+    fit_memory(fit, memory, progress, keep, threads)
     save_weights(fit.network, config, run.folder / WEIGHTS)
     return fit.network
 
@@ -81,14 +81,14 @@ def fill_memory(memory: Memory, record: Record, config: Config) -> None:
 
 def new_fit(config: Config, device: str) -> Fit:
     """Imitation at its start: a network drawn from the config's seed, on `device`."""
-    network = ValueNetwork(config.forces, config.value_prior, seed=config.seed).to(device)
+    network = new_network(config, config.seed).to(device)
     return Fit(network, config.imitation, generator(config.seed, "fit"))
 
 
-def fit_memory(fit: Fit, memory: Memory, progress: Progress, keep: Callable[[dict], None]) -> None:
+def fit_memory(fit: Fit, memory: Memory, progress: Progress, keep: Callable[[dict], None], threads: int = 1) -> None:
     """Run the epochs that are left; `keep` is given a row of metrics after each."""
     batches = -(-len(memory) // fit.settings.batch_size)
-    with progress("imitation", (fit.settings.epochs - fit.epoch) * batches) as told:
+    with progress("imitation", (fit.settings.epochs - fit.epoch) * batches) as told, torch_threads(threads):
         while fit.epoch < fit.settings.epochs:
             loss = fit.run_epoch(memory, told)
             keep({"epoch": fit.epoch, "loss": loss})

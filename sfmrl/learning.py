@@ -6,19 +6,21 @@ progress, so a resumed training needs no scheduler's state.
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import mse_loss
 
 from sfmrl.config import Imitation
+from sfmrl.gradients import loss_and_gradients
 from sfmrl.memory import Memory
 from sfmrl.network import ValueNetwork
 
 MOMENTUM = 0.9  # of SGD, as in the paper
+USEFUL_THREADS = 2  # a batch is too small for more
 
 
 def _constant(progress: float) -> float:
@@ -44,18 +46,28 @@ OPTIMIZERS: dict[str, Callable[..., torch.optim.Optimizer]] = {
 }
 
 
+@contextmanager
+def torch_threads(count: int) -> Iterator[None]:
+    """Let torch use `count` threads on this one, two at most, and then one again."""
+    torch.set_num_threads(min(count, USEFUL_THREADS))
+    try:
+        yield
+    finally:
+        torch.set_num_threads(1)
+
+
 def learn(
     network: ValueNetwork, optimizer: torch.optim.Optimizer, rate: float, states: Tensor, values: Tensor
 ) -> Tensor:
     """One step of descent at learning rate `rate` on states (B, K, F) and values (B,); returns the loss, a scalar."""
-    device = network.mlp1[0].weight.device
+    device = network.device
+    loss, gradients = loss_and_gradients(network, states.to(device), values.to(device))
+    for name, parameter in network.tensors.items():
+        parameter.grad = gradients[name]
     for group in optimizer.param_groups:
         group["lr"] = rate
-    loss = mse_loss(network(states.to(device)), values.to(device))
-    optimizer.zero_grad()
-    loss.backward()
     optimizer.step()
-    return loss.detach()
+    return loss
 
 
 class Fit:

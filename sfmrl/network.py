@@ -3,15 +3,19 @@
 The value network of Chen et al., "Crowd-Robot Interaction" (2019), with CrowdNav's parameter names, so that its SARL
 checkpoints load: each element's row goes through mlp1; its feature (mlp2) is weighted by a score (attention) that sees
 the element and the mean of all; the weighted sum joins the robot's own columns in mlp3. Left out: the local map.
+
+Two things are arranged for speed. Attention's first layer reads [element, mean]: the mean's half is the same for all
+elements of a state, so it is computed once. And mlp2's last layer is linear, so it may follow the weighted sum.
 """
 
 import io
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import linear, relu
+from torch.nn.functional import linear
 
 from sfmrl.config import Config, ConfigError
 from sfmrl.files import read_checked, read_sums, write_atomically
@@ -19,11 +23,26 @@ from sfmrl.states import OWN, column_names
 
 MLP1, MLP2, ATTENTION, MLP3 = (150, 100), (100, 50), (100, 100, 1), (150, 100, 100, 1)
 
-PER_METRE, AT_GOAL, PRIOR = (
-    0.9,
-    0.3,
-    0.8,
-)  # of `value_prior`: fall-off, distance at which the goal counts as reached (m)
+# Of `value_prior`: the fall-off per metre, and the distance at which the goal counts as reached, m.
+PER_METRE, AT_GOAL, PRIOR = 0.9, 0.3, 0.8
+
+
+class Trace(NamedTuple):
+    """What every layer gives on the way from states (B, K, F) to values; N = B K rows, one an element."""
+
+    rows: Tensor  # (N, F)
+    here: Tensor | None  # (B, K, 1), 1 where the element is there and 0 where it is absent; None: all are there
+    first: Tensor  # (N, 150), mlp1's first layer; from here to score_2 all are in the network's `precision`
+    hidden: Tensor  # (N, 100), mlp1
+    feature: Tensor  # (N, 100), mlp2 up to its last layer
+    mean: Tensor  # (B, 100), of the hidden rows of a state
+    score_1: Tensor  # (N, 100), attention's first layer
+    score_2: Tensor  # (N, 100), its second
+    share: Tensor  # (B, K), the share of attention each element gets, 0 for absent ones
+    pooled: Tensor  # (B, 100), the features' sum by share
+    joint: Tensor  # (B, 56) or (B, 58), the robot's own columns and mlp2's last layer
+    last: tuple[Tensor, Tensor, Tensor]  # (B, 150), (B, 100), (B, 100), mlp3 up to its last layer
+    output: Tensor  # (B,)
 
 
 class ValueNetwork(nn.Module):
@@ -31,12 +50,13 @@ class ValueNetwork(nn.Module):
 
     An absent element is a row with NaN in its own columns. With `value_prior` the value is written as
     0.9^(goal distance - 0.3) (0.8 + network), so that it falls off with distance from the start. Parameters are drawn
-    as torch's own layers do, from `seed`.
+    as torch's own layers do, from `seed`. They are float32 in any `precision`; in "bf16", the layers with a row an
+    element, but for the first, compute in bfloat16 ("auto": where the processor has it).
     """
 
-    def __init__(self, forces: bool = False, value_prior: bool = False, seed: int = 0) -> None:
+    def __init__(self, forces: bool = False, value_prior: bool = False, seed: int = 0, precision: str = "fp32") -> None:
         super().__init__()
-        self.forces, self.value_prior = forces, value_prior
+        self.forces, self.value_prior, self.precision = forces, value_prior, resolved(precision)
         self.own = len(OWN) + 2 * forces  # how many of the columns are the robot's own
         generator = torch.Generator().manual_seed(seed)
         width = len(column_names(forces))
@@ -44,47 +64,74 @@ class ValueNetwork(nn.Module):
         self.mlp2 = _mlp(MLP1[-1], MLP2, generator)
         self.attention = _mlp(2 * MLP1[-1], ATTENTION, generator)
         self.mlp3 = _mlp(self.own + MLP2[-1], MLP3, generator)
+        self.tensors = dict(self.named_parameters())  # by name, at hand: nn.Module takes its time to look them up
 
     def forward(self, states: Tensor) -> Tensor:
         """Values (B,) of states (B, K, F)."""
-        value = self._output_and_attention(states)[0]
-        if self.value_prior:
-            value = PER_METRE ** (states[:, 0, 0] - AT_GOAL).clamp(min=0.0) * (PRIOR + value)
-        return value
+        output = self.trace(states).output
+        return self.scale(states) * (PRIOR + output) if self.value_prior else output
 
-    def _output_and_attention(self, states: Tensor) -> tuple[Tensor, Tensor]:
-        """The last layer's output (B,), and the share of attention each element gets (B, K), 0 for absent ones."""
+    @property
+    def device(self) -> torch.device:
+        """Where the parameters are."""
+        return self.tensors["mlp1.0.weight"].device
+
+    @property
+    def low(self) -> torch.dtype:
+        """The type of the layers between the first with a row an element and the last."""
+        return torch.bfloat16 if self.precision == "bf16" else torch.float32
+
+    @staticmethod
+    def scale(states: Tensor) -> Tensor:
+        """What `value_prior` multiplies the output by, (B,)."""
+        return PER_METRE ** (states[:, 0, 0] - AT_GOAL).clamp(min=0.0)
+
+    def trace(self, states: Tensor) -> Trace:
+        """All layers' outputs for states (B, K, F)."""
         batch, elements, width = states.shape
         own = states[:, 0, : self.own] if elements else states.new_zeros(batch, self.own)
         absent = torch.isnan(states[..., self.own])  # (B, K)
-        all_here = elements > 0 and not bool(absent.any())
-        if not all_here:
+        here = None
+        if not elements or bool(absent.any()):
+            here = (~absent).float()[..., None]
             states = torch.where(absent[..., None], 0.0, states)
-        hidden = relu(self.mlp1[0](states.reshape(-1, width)), inplace=True)
-        hidden = relu(self.mlp1[2](hidden), inplace=True)  # (B K, 100)
-        feature = relu(self.mlp2[0](hidden), inplace=True).view(batch, elements, MLP2[0])  # (B, K, 100)
+        low, p, rows = self.low, self.tensors, states.reshape(-1, width)
 
-        per_element = hidden.view(batch, elements, MLP1[-1])
-        if all_here:
-            mean = per_element.mean(1)  # (B, 100)
-        else:
-            here = (~absent).to(states.dtype)[..., None]
-            mean = (per_element * here).sum(1) / here.sum(1).clamp(min=1.0)
-        # The first attention layer reads [element, mean]: the mean's half is the same for all elements of a state.
-        first = self.attention[0]
-        for_element, for_mean = first.weight.split(MLP1[-1], dim=1)
-        score = linear(hidden, for_element).view(batch, elements, ATTENTION[0])
-        score = relu(score + linear(mean, for_mean, first.bias)[:, None], inplace=True)  # (B, K, 100)
-        score = self.attention[4](relu(self.attention[2](score), inplace=True))[..., 0]  # (B, K)
-        if all_here:
+        if low == torch.float32:
+            first = relu_(linear(rows, p["mlp1.0.weight"], p["mlp1.0.bias"]))
+        else:  # numbers as large as metres need more than one bfloat16 each: what the first leaves goes into a second
+            coarse = rows.to(low)
+            both = torch.cat((coarse, (rows - coarse).to(low)), 1)
+            first = relu_(linear(both, p["mlp1.0.weight"].to(low).repeat(1, 2), p["mlp1.0.bias"].to(low)))
+        hidden = relu_(linear(first, p["mlp1.2.weight"].to(low), p["mlp1.2.bias"].to(low)))
+        feature = relu_(linear(hidden, p["mlp2.0.weight"].to(low), p["mlp2.0.bias"].to(low)))
+        count = elements if here is None else here.sum(1)  # (B, 1)
+        present = hidden.new_ones(batch, 1, elements) if here is None else here.to(low).transpose(1, 2)
+        total = (present @ hidden.view(batch, elements, MLP1[-1]))[:, 0].float()
+        mean = total / (count if here is None else count.clamp(min=1.0))  # (B, 100)
+
+        for_element, for_mean = p["attention.0.weight"].split(MLP1[-1], dim=1)
+        score_1 = linear(hidden, for_element.to(low))
+        score_1.view(batch, elements, ATTENTION[0]).add_(linear(mean, for_mean, p["attention.0.bias"]).to(low)[:, None])
+        score_1 = relu_(score_1)
+        score_2 = relu_(linear(score_1, p["attention.2.weight"].to(low), p["attention.2.bias"].to(low)))
+        score = _one(score_2, p["attention.4.weight"].to(low), p["attention.4.bias"].to(low)).float()
+        score = score.view(batch, elements)
+        if here is None:
             share = score.softmax(1)
         else:
             share = score.masked_fill(absent, -torch.inf).softmax(1).nan_to_num()  # nobody there at all: zeros
-        # mlp2's last layer is linear, so it may follow the weighted sum: once a state instead of once an element.
-        pooled = linear((share[:, None] @ feature)[:, 0], self.mlp2[2].weight)
-        pooled = pooled + share.sum(1, keepdim=True) * self.mlp2[2].bias  # (B, 50)
 
-        return self.mlp3(torch.cat((own, pooled), 1))[:, 0], share
+        pooled = (share.to(low)[:, None] @ feature.view(batch, elements, MLP2[0]))[:, 0].float()
+        summary = linear(pooled, p["mlp2.2.weight"])  # (B, 50)
+        summary = summary + (p["mlp2.2.bias"] if here is None else count.clamp(max=1.0) * p["mlp2.2.bias"])
+        joint = torch.cat((own, summary), 1)
+        last_1 = relu_(linear(joint, p["mlp3.0.weight"], p["mlp3.0.bias"]))
+        last_2 = relu_(linear(last_1, p["mlp3.2.weight"], p["mlp3.2.bias"]))
+        last_3 = relu_(linear(last_2, p["mlp3.4.weight"], p["mlp3.4.bias"]))
+        output = _one(last_3, p["mlp3.6.weight"], p["mlp3.6.bias"])
+        last = last_1, last_2, last_3
+        return Trace(rows, here, first, hidden, feature, mean, score_1, score_2, share, pooled, joint, last, output)
 
     @torch.inference_mode()
     def evaluate(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -94,19 +141,40 @@ class ValueNetwork(nn.Module):
         states, at least eight, since matrix products treat a remainder of rows, or very few, in another way; and the
         power is NumPy's, since torch's has other bits in a remainder.
         """
-        device = self.mlp1[0].weight.device
         count = len(states)
         if count < 8 or count % 4:
             filled = np.zeros((max(count + -count % 4, 8), *states.shape[1:]), dtype=np.float32)
             filled[:count] = states
         else:
             filled = states
-        output, share = self._output_and_attention(torch.from_numpy(filled).to(device))
-        value, share = output[:count].cpu().numpy(), share[:count].cpu().numpy()
+        trace = self.trace(torch.from_numpy(filled).to(self.device))
+        value, share = trace.output[:count].cpu().numpy(), trace.share[:count].cpu().numpy()
         if self.value_prior:
             beyond = np.maximum(states[:, 0, 0] - np.float32(AT_GOAL), np.float32(0))
             value = np.float32(PER_METRE) ** beyond * (np.float32(PRIOR) + value)
         return value, share
+
+
+def relu_(x: Tensor) -> Tensor:
+    """ReLU in place. Without autograd to follow, numbers in bfloat16 are taken for the integers that their bits are."""
+    if x.dtype != torch.bfloat16 or torch.is_grad_enabled():
+        return x.relu_()
+    x.view(torch.int16).clamp_(min=0)  # negative numbers are negative integers too, and integers are five times faster
+    return x
+
+
+def _one(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """A layer with one output, (N, in) -> (N,). Computed as two: a single column is summed up in another order where
+    the number of rows leaves a remainder, and so would depend on how many threads share them."""
+    return linear(x, weight.expand(2, -1), bias.expand(2))[:, 0]
+
+
+def resolved(precision: str) -> str:
+    """The precision that "auto" stands for on this machine, "bf16" where the processor has it; others as they are."""
+    if precision != "auto":
+        return precision
+    has = getattr(torch.cpu, "get_capabilities", dict)()
+    return "bf16" if any(has.get(name) for name in ("amx_bf16", "avx512_bf16", "bf16")) else "fp32"
 
 
 def _mlp(width: int, sizes: tuple[int, ...], generator: torch.Generator, last_relu: bool = False) -> nn.Sequential:
@@ -123,7 +191,14 @@ def _mlp(width: int, sizes: tuple[int, ...], generator: torch.Generator, last_re
     return nn.Sequential(*layers if last_relu else layers[:-1])
 
 
-def network_from(state_dict: dict[str, Tensor], source: str, value_prior: bool = False) -> ValueNetwork:
+def new_network(config: Config, seed: int = 0) -> ValueNetwork:
+    """The network that a config asks for, drawn from `seed`."""
+    return ValueNetwork(config.forces, config.value_prior, seed, config.precision)
+
+
+def network_from(
+    state_dict: dict[str, Tensor], source: str, value_prior: bool = False, precision: str = "fp32"
+) -> ValueNetwork:
     """The network whose parameters these are: sfmrl's own, or those of a CrowdNav SARL checkpoint.
 
     Raises ConfigError, naming `source`, where they are not a SARL network's.
@@ -131,7 +206,7 @@ def network_from(state_dict: dict[str, Tensor], source: str, value_prior: bool =
     if not isinstance(state_dict, dict):
         raise ConfigError(f"{source} does not hold a SARL network but a {type(state_dict).__name__}")
     for forces in (False, True):
-        network = ValueNetwork(forces, value_prior)
+        network = ValueNetwork(forces, value_prior, precision=precision)
         wanted = {name: value.shape for name, value in network.state_dict().items()}
         if wanted == {name: getattr(value, "shape", None) for name, value in state_dict.items()}:
             network.load_state_dict(state_dict)
@@ -164,6 +239,6 @@ def load_weights(path: Path) -> tuple[ValueNetwork, Config]:
             config = Config.from_json(content["config"])
         except ConfigError as error:
             raise ConfigError(f"the config in {path} cannot be used: {error}") from error
-        return network_from(content["weights"], str(path), config.value_prior), config
+        return network_from(content["weights"], str(path), config.value_prior, config.precision), config
     network = network_from(content, str(path))
     return network, Config(preset="paper", forces=network.forces)

@@ -20,7 +20,7 @@ from sfmrl.sfm import sfm_velocities
 from sfmrl.states import robot_states
 
 WEIGHTS = "weights.pt"  # a run's trained network, in its folder
-BLOCK = 8  # episodes looked at together: few enough for their layers to stay in the processor's cache
+BLOCK = 16  # episodes at most that are looked at together: few enough for their layers to stay in the cache
 
 Policy = Callable[[World, np.ndarray], np.ndarray]
 
@@ -134,6 +134,7 @@ class SarlPolicy:
 
     def __init__(self, network, config: Config, threads: int = 1) -> None:
         self.network, self.config = network, config
+        self.threads = threads
         self._terms = reward_terms(config.reward)
         self._pool = worker_threads(threads)
 
@@ -144,18 +145,22 @@ class SarlPolicy:
     def lookahead(self, world: World, crowd_velocity: np.ndarray) -> Lookahead:
         """Values of all actions in every episode of the world."""
         actions = ACTIONS * world.v_pref[:, 0, None, None]  # (E, A, 2)
-        blocks = [slice(e, e + BLOCK) for e in range(0, len(world), BLOCK)]
-        values = list(self._pool.map(lambda rows: self._values(world, crowd_velocity, actions, rows), blocks))
-        values = np.concatenate(values) if values else np.zeros(actions.shape[:2])
+        size = max(1, min(BLOCK, -(-len(world) // self.threads)))
+        blocks = [slice(e, e + size) for e in range(0, len(world), size)] or [slice(0)]
+        parts = self._pool.map(lambda rows: self._values(world, crowd_velocity, actions, rows), blocks)
+        values, outcome = (np.concatenate(part) for part in zip(*parts, strict=True))
         wary = self.config.avoid_traps
-        best = best_untrapped(world, crowd_velocity, actions, values) if wary else values.argmax(1)
+        best = best_untrapped(world, crowd_velocity, actions, values, outcome) if wary else values.argmax(1)
         return Lookahead(actions, values, best)
 
     def attention(self, world: World) -> np.ndarray:
         """The share of attention each element gets in the world as it is, (E, K)."""
         return self.network.evaluate(world_states(world, self.config.forces))[1]
 
-    def _values(self, world: World, crowd_velocity: np.ndarray, actions: np.ndarray, rows: slice) -> np.ndarray:
+    def _values(
+        self, world: World, crowd_velocity: np.ndarray, actions: np.ndarray, rows: slice
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The values and outcomes (e, A) of all actions in some of the episodes."""
         world, crowd_velocity, action = world.take(np.arange(len(world))[rows]), crowd_velocity[rows], actions[rows]
         step = transition(world, action)  # (e, A)
         reward = total(self._terms(step))
@@ -174,7 +179,7 @@ class SarlPolicy:
         ahead = self.network.evaluate(states.reshape(-1, *states.shape[2:]))[0].reshape(reward.shape)
         if self.config.collision_ends:
             ahead = np.where(step.outcome == COLLISION, 0.0, ahead)
-        return reward + step_discount(self.config.discount, world.v_pref[:, :1], world.simulation) * ahead
+        return reward + step_discount(self.config.discount, world.v_pref[:, :1], world.simulation) * ahead, step.outcome
 
 
 def available_cores() -> int:
@@ -182,22 +187,29 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def worker_threads(count: int) -> ThreadPoolExecutor:
-    """Threads to compute on, with torch kept to the one thread in each that it is."""
+def worker_threads(count: int, within: int = 1) -> ThreadPoolExecutor:
+    """Threads to compute on, with torch kept to so many threads `within` each of them."""
     import torch
 
-    return ThreadPoolExecutor(count, initializer=lambda: torch.set_num_threads(1))
+    def prepare() -> None:
+        torch.get_num_threads()  # makes torch settle on a number for this thread, which it would else do later
+        torch.set_num_threads(within)
+
+    return ThreadPoolExecutor(count, initializer=prepare)
 
 
-def best_untrapped(world: World, crowd_velocity: np.ndarray, actions: np.ndarray, values: np.ndarray) -> np.ndarray:
+def best_untrapped(
+    world: World, crowd_velocity: np.ndarray, actions: np.ndarray, values: np.ndarray, outcome: np.ndarray
+) -> np.ndarray:
     """The most valuable actions (E,) that neither collide nor lead where every action (E, A, 2) does.
+
+    `values` and `outcome` (E, A) are those of the actions.
 
     Exact without another step of the crowd: a collision is judged by the velocities that people had before the step,
     and those of the next step are the `crowd_velocity` (E, N, 2) of this one. The most valuable of all where none is
     free.
     """
     best = values.argmax(1)
-    outcome = transition(world, actions).outcome  # (E, A)
     left = np.where(outcome == COLLISION, -np.inf, values)
     pending = np.flatnonzero(outcome[np.arange(len(best)), best] == RUNNING)
     while len(pending):

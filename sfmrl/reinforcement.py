@@ -18,7 +18,8 @@ from sfmrl.exploration import explore, remember
 from sfmrl.files import DamagedFile, read_sums
 from sfmrl.imitation import DEMONSTRATIONS, fill_memory, fit_memory, load_demonstrations, make_memory, new_fit
 from sfmrl.learner import Learner
-from sfmrl.network import ValueNetwork, load_weights, save_weights
+from sfmrl.learning import USEFUL_THREADS
+from sfmrl.network import load_weights, new_network, save_weights
 from sfmrl.policies import WEIGHTS, SarlPolicy, worker_threads
 from sfmrl.progress import Progress
 from sfmrl.runs import Interrupted, Run, StopSignal, create_run, open_run, run_folders
@@ -43,7 +44,7 @@ def reinforce(
     Raises Interrupted, with a checkpoint just written, once `stop` has been requested.
     """
     config, settings = run.config, run.config.reinforcement
-    learner = begin(run, progress, stop, say, device)
+    learner = begin(run, progress, stop, say, threads, device)
     run.write_table("metrics.csv", learner.rows)
     run.write_table("validation.csv", learner.validations)
     tested = SarlPolicy(learner.tested, config, threads)
@@ -99,7 +100,8 @@ def train_stretch(run: Run, learner: Learner, progress: Progress, stop: StopSign
         run.append_rows("metrics.csv", rows)
         told(len(rows))
 
-    with progress("reinforcement", end - learner.episode) as told, worker_threads(1) as background:
+    within = 1 if aside else min(threads, USEFUL_THREADS)
+    with progress("reinforcement", end - learner.episode) as told, worker_threads(1, within) as background:
         first = learner.episode
         while first < end:
             episodes = range(first, min(first + settings.parallel, end))
@@ -160,12 +162,14 @@ def fits(folder: Path, config: Config) -> bool:
     return run.finished and same
 
 
-def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], None], device: str) -> Learner:
+def begin(
+    run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], None], threads: int, device: str
+) -> Learner:
     """The training where it was left, or at its start: after imitation, refitted where reward or state differ."""
     config, saved = run.config, run.load_checkpoint()
     memory = make_memory(config)
     if saved and "fit" not in saved:
-        learner = Learner(ValueNetwork(config.forces, config.value_prior).to(device), memory, config)
+        learner = Learner(new_network(config).to(device), memory, config)
         learner.load_state_dict(saved)
         return learner
     fit = new_fit(config, device)
@@ -192,7 +196,7 @@ def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], N
         if stop.requested:
             raise Interrupted
 
-    fit_memory(fit, memory, progress, keep)
+    fit_memory(fit, memory, progress, keep, threads)
     return Learner(fit.network, memory, config)
 
 
@@ -200,7 +204,7 @@ def same_task(one: Config, other: Config) -> bool:
     """Whether a network fitted under one config is what the other would have fitted to the same demonstrations."""
     return all(
         getattr(one, name) == getattr(other, name)
-        for name in ("forces", "discount", "value_prior", "reward", "imitation")
+        for name in ("forces", "precision", "discount", "value_prior", "reward", "imitation")
     )
 
 

@@ -19,7 +19,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
@@ -31,6 +31,7 @@ import torch
 from sfmrl import __version__
 from sfmrl.config import Config, ConfigError
 from sfmrl.files import DamagedFile, csv_text, read_checked, remove_checked, write_atomically
+from sfmrl.network import resolved
 from sfmrl.policies import WEIGHTS
 from sfmrl.progress import Progress
 from sfmrl.rewards import reward_digest, reward_terms
@@ -122,6 +123,7 @@ def create_run(
     ):
         parse_mix(environment)
     reward_terms(config.reward)
+    config = replace(config, precision=resolved(config.precision))
     if folder is None:
         name = f"{kind}-{variant_name(config)}-seed{config.seed}"
         folder = _new_folder(name)

@@ -42,7 +42,7 @@ def usable(device: str) -> str:
 
 
 def use_threads(threads: int | None) -> int:
-    """How many threads to work on; torch itself is kept to one in each, so that their number changes no result."""
+    """How many threads to work on; torch itself is kept to one in each, but where learning lets it use more."""
     import torch
 
     from sfmrl.policies import available_cores

@@ -72,7 +72,10 @@ def test_a_step_of_adam_equals_a_hand_computation():
     states, values = random_batch(5)
     learn(network, OPTIMIZERS["adam"](network.parameters()), 1e-3, states, values)
     gradients = torch.autograd.grad(((mirror(states) - values) ** 2).mean(), list(mirror.parameters()))
-    for p, q, g in zip(network.parameters(), mirror.parameters(), gradients, strict=True):
+    for (name, p), q, g in zip(network.named_parameters(), mirror.parameters(), gradients, strict=True):
+        if name == "attention.4.bias":  # a shift of all scores changes nothing: autograd's number is rounding alone
+            assert torch.equal(p, q)
+            continue
         # In the first step both moments, corrected for their start at 0, are the gradient's own.
         torch.testing.assert_close(p, q - 1e-3 * g / (g.abs() + 1e-8), rtol=1e-4, atol=1e-6)
 

@@ -16,14 +16,14 @@ import sfmrl
 # The house from the ground up: a file imports only from those before it.
 LEVELS = (
     ("config", "variants", "geometry", "files", "progress"),
-    ("linear_programs", "polygons", "orca_polygons", "orca", "sfm", "states", "network"),
+    ("linear_programs", "polygons", "orca_polygons", "orca", "sfm", "states", "network", "gradients"),
     ("placement", "scenarios", "rewards", "crowd", "policies", "episodes"),
     ("evaluation", "memory", "learning", "learner", "exploration", "runs", "imitation", "reinforcement"),
     ("canvas", "story", "timeline", "panel", "screen", "replay"),
     ("options", "console", "session", "cli"),
 )
 ORDER = [name for level in LEVELS for name in level]
-WITH_TORCH = {"network", "memory", "learning", "learner", "runs"}
+WITH_TORCH = {"network", "gradients", "memory", "learning", "learner", "runs"}
 PACKAGE = sorted((ROOT / "sfmrl").glob("*.py"))
 FILES = [path for path in PACKAGE if path.stem not in ("__init__", "__main__")]
 

@@ -35,7 +35,7 @@ def test_the_best_action_that_is_no_trap_is_found_wherever_there_is_one():
     moves = np.random.default_rng(1).uniform(-1, 1, world.velocity.shape)
     values = np.random.default_rng(2).normal(size=(40, 81))
     actions = np.broadcast_to(ACTIONS, (40, 81, 2))
-    found = best_untrapped(world, moves, actions, values)
+    found = best_untrapped(world, moves, actions, values, transition(world, actions).outcome)
     passed_over = hopeless = 0
     for e in range(40):
         one = world.take(np.array([e]))

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ from conftest import environment
 from sfmrl.config import Config, ConfigError
 from sfmrl.files import SUMS, DamagedFile, read_checked, read_sums, write_atomically
 from sfmrl.imitation import DEMONSTRATIONS, imitate, load_demonstrations
-from sfmrl.network import load_weights
+from sfmrl.network import load_weights, resolved
 from sfmrl.policies import WEIGHTS, load_policy
 from sfmrl.progress import no_progress
 from sfmrl.runs import Interrupted, Run, StopSignal, create_run, newest_run, open_run, run_folders
@@ -100,7 +101,7 @@ def test_sha256sum_can_check_a_finished_run_folder(folder):
 def test_a_finished_run_opens_with_its_config_and_facts(folder):
     run = open_run(folder, "il")
     assert run.finished
-    assert run.config == TINY
+    assert run.config == replace(TINY, precision=resolved("auto"))
     assert {"kind", "variant", "created", "command", "versions"} <= set(run.facts)
     assert (folder / "metrics.csv").read_text().splitlines()[0] == "epoch,loss"
     assert len((folder / "metrics.csv").read_text().splitlines()) == 4
