@@ -28,7 +28,7 @@ class Learner:
         self.average = copy.deepcopy(network)
         # What explores: the network itself, or what it was before the batches that are being learnt meanwhile.
         self.actor = copy.deepcopy(network) if config.reinforcement.overlap else network
-        self.optimizer = OPTIMIZERS[config.reinforcement.optimizer](network.parameters())
+        self.optimizer = OPTIMIZERS[config.reinforcement.optimizer](network)
         self.rng = generator(config.seed, "batches")
         self.episode = self.batch = 0
         self.rows: list[dict[str, Any]] = []
@@ -86,6 +86,4 @@ class Learner:
 
 def follow(average: ValueNetwork, network: ValueNetwork, share: float) -> None:
     """Move an average's parameters by `share` of the way to a network's."""
-    with torch.no_grad():
-        for slow, fast in zip(average.parameters(), network.parameters(), strict=True):
-            slow.lerp_(fast, share)
+    average.flat.lerp_(network.flat, share)

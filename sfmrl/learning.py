@@ -40,9 +40,9 @@ def _one_cycle(progress: float) -> float:
 
 
 SCHEDULES: dict[str, Callable[[float], float]] = {"constant": _constant, "linear": _linear, "one-cycle": _one_cycle}
-OPTIMIZERS: dict[str, Callable[..., torch.optim.Optimizer]] = {
-    "sgd": lambda parameters: torch.optim.SGD(parameters, lr=0.0, momentum=MOMENTUM, fused=True),
-    "adam": lambda parameters: torch.optim.Adam(parameters, lr=0.0, fused=True),
+OPTIMIZERS: dict[str, Callable[[ValueNetwork], torch.optim.Optimizer]] = {
+    "sgd": lambda network: torch.optim.SGD([network.flat], lr=0.0, momentum=MOMENTUM, fused=True),
+    "adam": lambda network: torch.optim.Adam([network.flat], lr=0.0, fused=True),
 }
 
 
@@ -62,8 +62,7 @@ def learn(
     """One step of descent at learning rate `rate` on states (B, K, F) and values (B,); returns the loss, a scalar."""
     device = network.device
     loss, gradients = loss_and_gradients(network, states.to(device), values.to(device))
-    for name, parameter in network.tensors.items():
-        parameter.grad = gradients[name]
+    network.flat.grad = torch.cat([gradients[name].reshape(-1) for name in network.tensors])
     for group in optimizer.param_groups:
         group["lr"] = rate
     optimizer.step()
@@ -75,7 +74,7 @@ class Fit:
 
     def __init__(self, network: ValueNetwork, settings: Imitation, rng: np.random.Generator) -> None:
         self.network, self.settings, self.rng = network, settings, rng
-        self.optimizer = OPTIMIZERS[settings.optimizer](network.parameters())
+        self.optimizer = OPTIMIZERS[settings.optimizer](network)
         self.epoch = 0
 
     def run_epoch(self, memory: Memory, progress: Callable[[int], None]) -> float:

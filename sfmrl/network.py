@@ -64,7 +64,26 @@ class ValueNetwork(nn.Module):
         self.mlp2 = _mlp(MLP1[-1], MLP2, generator)
         self.attention = _mlp(2 * MLP1[-1], ATTENTION, generator)
         self.mlp3 = _mlp(self.own + MLP2[-1], MLP3, generator)
-        self.tensors = dict(self.named_parameters())  # by name, at hand: nn.Module takes its time to look them up
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        """Put all parameters into one long tensor, `flat`, so that an optimizer's step is a single operation."""
+        self.tensors = dict(self.named_parameters())  # at hand: nn.Module takes its time to look them up
+        self.flat = torch.cat([parameter.detach().reshape(-1) for parameter in self.tensors.values()])
+        parts = self.flat.split([parameter.numel() for parameter in self.tensors.values()])
+        for parameter, part in zip(self.tensors.values(), parts, strict=True):
+            parameter.data = part.view_as(parameter)
+
+    def _apply(self, *args, **options):
+        """What `to` and its like do, after which the parameters are tensors of their own."""
+        super()._apply(*args, **options)
+        self._lay_out()
+        return self
+
+    def __deepcopy__(self, memo) -> "ValueNetwork":
+        copy = ValueNetwork(self.forces, self.value_prior, precision=self.precision).to(self.device)
+        copy.load_state_dict(self.state_dict())
+        return copy
 
     def forward(self, states: Tensor) -> Tensor:
         """Values (B,) of states (B, K, F)."""

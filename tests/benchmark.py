@@ -121,7 +121,7 @@ def learning() -> None:
     network, rng = ValueNetwork(), np.random.default_rng(0)
     states = torch.from_numpy(rng.normal(size=(100, 10, 13)).astype(np.float32))
     values = torch.from_numpy(rng.random(100, dtype=np.float32))
-    optimizer = OPTIMIZERS["sgd"](network.parameters())
+    optimizer = OPTIMIZERS["sgd"](network)
     batch = fastest(lambda: [learn(network, optimizer, 1e-3, states, values) for _ in range(20)]) / 20
     console.print(f"batches of 100: {1 / batch:.0f} a second")
     for parallel in (1, 10):

@@ -51,7 +51,7 @@ def test_schedules_stay_between_nothing_and_the_whole_rate(name, progress):
 
 def test_two_steps_of_sgd_equal_a_hand_computation():
     network, mirror = ValueNetwork(seed=1), ValueNetwork(seed=1)
-    optimizer = OPTIMIZERS["sgd"](network.parameters())
+    optimizer = OPTIMIZERS["sgd"](network)
     velocity = [torch.zeros_like(p) for p in mirror.parameters()]
     for number, rate in enumerate((0.05, 0.02)):
         states, values = random_batch(number)
@@ -70,7 +70,7 @@ def test_two_steps_of_sgd_equal_a_hand_computation():
 def test_a_step_of_adam_equals_a_hand_computation():
     network, mirror = ValueNetwork(seed=2), ValueNetwork(seed=2)
     states, values = random_batch(5)
-    learn(network, OPTIMIZERS["adam"](network.parameters()), 1e-3, states, values)
+    learn(network, OPTIMIZERS["adam"](network), 1e-3, states, values)
     gradients = torch.autograd.grad(((mirror(states) - values) ** 2).mean(), list(mirror.parameters()))
     for (name, p), q, g in zip(network.named_parameters(), mirror.parameters(), gradients, strict=True):
         if name == "attention.4.bias":  # a shift of all scores changes nothing: autograd's number is rounding alone
