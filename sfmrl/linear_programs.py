@@ -23,6 +23,7 @@ import numpy as np
 
 INFINITY = np.float32(np.inf)
 OUT_OF_REACH = np.float32(1e6)  # m/s
+ROUNDING = np.float32(1e-6)  # m/s
 HUGE, TINY, TINIER = np.float32(1e38), np.float32(1e-20), np.float32(1e-30)
 
 
@@ -41,7 +42,7 @@ def nearest_velocities(half_planes, max_speed, preferred):
         away_x, away_y = velocity - preferred.take(program, axis=1)
         return away_x * away_x + away_y * away_y
 
-    return _optima(half_planes, max_speed, limit_speed(preferred, max_speed), wish, cost)
+    return _optima1(half_planes, max_speed, limit_speed(preferred, max_speed), wish, cost)
 
 
 def least_violations(half_planes, n_hard, max_speed, velocity):
@@ -57,7 +58,7 @@ def least_violations(half_planes, n_hard, max_speed, velocity):
     if n_hard:
         at_rest |= violated[:n_hard].any(axis=0)
     violated ^= (violated ^ violated_at_rest) & at_rest
-    carrier, owner = _lines_where(violated[n_hard:], half_planes[:, n_hard:])
+    _, carrier, owner = _lines_where(violated[n_hard:], half_planes[:, n_hard:])
     speed = max_speed[owner]
     normal_x, normal_y = -carrier[3], carrier[2]
     projected, possible = _bisectors(half_planes.take(owner, axis=2, mode="clip"), n_hard, carrier)
@@ -133,16 +134,70 @@ def _optima(half_planes, max_speed, velocity, wish, cost):
     `velocity` (2, Q) is the best within the disc alone. For lines (4, K) and their programs (K,), `wish` tells how far
     along the line the best velocity would be, and `cost` how bad velocities (2, K) are.
     """
+    programs = len(max_speed)
+    feasible = np.ones(programs, bool)
+
+    def settle(line, program, left, right):
+        """Move to the best velocities between the ends of lines, and return which of the lines there are any on."""
+        fits = left <= right
+        feasible[program] = fits
+        fits = np.flatnonzero(fits)
+        velocity[:, program[fits]] = _along(line, left, right, wish(line, program)).take(fits, axis=1)
+        return fits
+
+    excess = violations(half_planes, velocity)
+    most = excess.max(axis=0, initial=0)
+    most[most <= 0] = np.nan
+    first, line, program = _lines_where(excess == most, half_planes)
+    fits = settle(line, program, *_chord(line, max_speed[program]))
+    used = np.zeros(programs, int)
+    used[program[fits]] = first[fits]
+
+    excess = violations(half_planes, velocity)
+    excess.reshape(-1)[first[fits]] -= ROUNDING  # by which a velocity on the line may violate it
+    most = excess.max(axis=0, initial=0)
+    most[(most <= 0) | ~feasible] = np.nan
+    second, line, program = _lines_where(excess == most, half_planes)
+    if not len(program):
+        return velocity, feasible
+    first = used[program]
+    others = half_planes.reshape(4, -1).take(first, axis=1)[:, None]
+    fits = settle(line, program, *_interval(line, others, max_speed[program]))
+
+    program = program[fits]
+    half_planes = half_planes.take(program, axis=2)
+    excess = violations(half_planes, velocity.take(program, axis=1))
+    for line in (first, second):
+        excess[line[fits] // programs, np.arange(len(fits))] -= ROUNDING
+    _, line, column = _lines_where(excess > 0, half_planes)
+    program = program[column]
+    feasible[program] = False
+    left, right = _interval(line, half_planes.take(column, axis=2, mode="clip"), max_speed[program])
+    candidate = _along(line, left, right, wish(line, program))
+    fits = np.flatnonzero(left <= right)
+    program, candidate = program[fits], candidate.take(fits, axis=1)
+    _keep_best(velocity, feasible, program, cost(candidate, program), candidate)
+    return velocity, feasible
+
+
+def _optima1(half_planes, max_speed, velocity, wish, cost):
+    """Return the best permitted velocities (2, Q), and whether there are any (Q,).
+
+    `velocity` (2, Q) is the best within the disc alone. For lines (4, K) and their programs (K,), `wish` tells how far
+    along the line the best velocity would be, and `cost` how bad velocities (2, K) are.
+    """
     feasible = np.ones(len(max_speed), bool)
     excess = violations(half_planes, velocity)
     most = excess.max(axis=0, initial=0)
     most[most <= 0] = np.nan
-    line, program = _lines_where(excess == most, half_planes)
+    chosen, line, program = _lines_where(excess == most, half_planes)
     left, right = _chord(line, max_speed[program])
     meets = np.flatnonzero(left <= right)
     velocity[:, program[meets]] = _along(line, left, right, wish(line, program)).take(meets, axis=1)
 
-    line, program = _lines_where(violations(half_planes, velocity) > 0, half_planes)
+    excess = violations(half_planes, velocity)
+    excess.reshape(-1)[chosen[meets]] -= ROUNDING
+    _, line, program = _lines_where(excess > 0, half_planes)
     feasible[program] = False
     left, right = _interval(line, half_planes.take(program, axis=2, mode="clip"), max_speed[program])
     candidate = _along(line, left, right, wish(line, program))
@@ -153,9 +208,9 @@ def _optima(half_planes, max_speed, velocity, wish, cost):
 
 
 def _lines_where(condition, half_planes):
-    """Return the lines (4, K) for which the condition (M, Q) holds, and the programs (K,) whose they are."""
+    """Return where the condition (M, Q) holds (K,), the lines (4, K) there, and the programs (K,) whose they are."""
     chosen = np.flatnonzero(condition)
-    return half_planes.reshape(4, -1).take(chosen, axis=1), chosen % condition.shape[1]
+    return chosen, half_planes.reshape(4, -1).take(chosen, axis=1), chosen % condition.shape[1]
 
 
 def _along(line, left, right, wish):

@@ -13,6 +13,8 @@ runs through one long row, and linear programs run only for agents whose preferr
 summed over an axis: an episode's result has the same bits whatever the batch.
 """
 
+from functools import cache
+
 import numpy as np
 
 from sfmrl.linear_programs import (
@@ -89,28 +91,65 @@ def orca_velocities(
     pairs = max(1, edges.shape[1], min(max_neighbors, len(others)))  # of each agent
     size = max(1, BLOCK // (pairs * max(1, len(own))))
     columns = max(1, BLOCK // (pairs * size))
+    everybody = columns >= len(own) == len(others) <= max_neighbors + 1  # then pairs are the same seen from both sides
     with np.errstate(all="ignore"):
         for first in range(0, episodes, size):
             block = slice(first, first + size)
             for column in range(0, len(own), columns):
                 part = own[column : column + columns]
                 agent = planes[:, :, block].take(part, axis=1)
-                other = _neighbors(planes[:5, :, block], part, others, max_neighbors)
-                lines = agent_half_planes(agent, other, time_step, neighbor_distance, time_horizon)
+                if everybody:
+                    lines = mutual_half_planes(agent, time_step, neighbor_distance, time_horizon)
+                else:
+                    other = _neighbors(planes[:5, :, block], part, others, max_neighbors)
+                    lines = agent_half_planes(agent, other, time_step, neighbor_distance, time_horizon)
                 found = _velocities(agent, lines, edges[:, :, block], obstacle_time_horizon)
                 velocities[block, part] = np.where(wanted[part, block], found, np.float32(np.nan)).T
     return velocities
 
 
+def mutual_half_planes(agents, time_step, neighbor_distance, time_horizon):
+    """Return the half-planes (4, C - 1, C, E) by which all agents (8, C, E) share the avoiding of each other.
+
+    As `agent_half_planes`, with half the work: what one has on its left, the other has on its right, to the bit.
+    """
+    count, episodes = agents.shape[1:]
+    one, other = _couples(count)
+    first, second = agents.take(one, axis=1), agents.take(other, axis=1)
+    change, direction = _shares(first, second, time_step, neighbor_distance, time_horizon)
+    half_planes = np.empty((4, max(count - 1, 0), count, episodes), np.float32)
+    half_planes[:2, other - 1, one] = first[2:4] + change
+    half_planes[2:, other - 1, one] = direction
+    half_planes[:2, one, other] = second[2:4] - change
+    half_planes[2:, one, other] = np.negative(direction, out=direction)
+    return half_planes
+
+
+@cache
+def _couples(count):
+    """Return the indices of the first and the second of all couples among `count`."""
+    return np.triu_indices(count, 1)
+
+
 def agent_half_planes(agent, other, time_step, neighbor_distance, time_horizon):
-    """Return the half-planes (4, M, C, E) by which agents share the avoiding of others, zeros where nobody is near.
+    """Return the half-planes (4, M, C, E) by which agents share the avoiding of others, without effect if far away.
 
     agent (8, C, E) and other (5, M, C, E) are position, velocity, radius and so on, NaN where absent; float32, in m and
     m/s. time_step and time_horizon are in s, neighbor_distance in m. Source: the paper's section 4.
     """
-    x, y, velocity_x, velocity_y, reach = other
-    x, y, reach = x - agent[0], y - agent[1], reach + agent[4]
-    velocity_x, velocity_y = agent[2] - velocity_x, agent[3] - velocity_y
+    change, direction = _shares(agent, other, time_step, neighbor_distance, time_horizon)
+    change += agent[2:4, None]
+    return np.concatenate([change, direction])
+
+
+def _shares(agent, other, time_step, neighbor_distance, time_horizon):
+    """Return by how much agents must change their velocities at least, and the half-planes' directions, both (2, ...).
+
+    agent and other are as in `agent_half_planes`, and broadcast behind their first axis. Both are zero where nobody
+    is near.
+    """
+    x, y, reach = other[0] - agent[0], other[1] - agent[1], other[4] + agent[4]
+    velocity_x, velocity_y = agent[2] - other[2], agent[3] - other[3]
     squared, reach_squared = x * x + y * y, reach * reach
     # Agents that overlap must part within the time step.
     overlap = squared <= reach_squared
@@ -138,17 +177,14 @@ def agent_half_planes(agent, other, time_step, neighbor_distance, time_horizon):
     w_y *= scale
     change = reach * rate - length
 
-    half_planes = np.empty((4, *x.shape), np.float32)
-    change_x = choose(on_disc, change * w_x, along * leg_x - velocity_x)
-    change_y = choose(on_disc, change * w_y, along * leg_y - velocity_y)
-    change_x *= HALF
-    change_y *= HALF
-    np.add(agent[2], change_x, out=half_planes[0])
-    np.add(agent[3], change_y, out=half_planes[1])
-    half_planes[2] = choose(on_disc, w_y, leg_x)
-    half_planes[3] = choose(on_disc, -w_x, leg_y)
-    half_planes.view(np.int32)[...] &= bits(squared < np.float32(neighbor_distance) * np.float32(neighbor_distance))
-    return half_planes
+    share = np.empty((2, *x.shape), np.float32)
+    np.multiply(choose(on_disc, change * w_x, along * leg_x - velocity_x), HALF, out=share[0])
+    np.multiply(choose(on_disc, change * w_y, along * leg_y - velocity_y), HALF, out=share[1])
+    direction = np.stack([choose(on_disc, w_y, leg_x), choose(on_disc, -w_x, leg_y)])
+    near = bits(squared < np.float32(neighbor_distance) * np.float32(neighbor_distance))
+    share.view(np.int32)[...] &= near
+    direction.view(np.int32)[...] &= near
+    return share, direction
 
 
 def _velocities(agent, lines, edges, obstacle_time_horizon):
