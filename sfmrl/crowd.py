@@ -129,9 +129,10 @@ def transition(world: World, action: np.ndarray) -> Transition:
     # Components first in memory: the same operations then run through long rows.
     position, velocity = (np.ascontiguousarray(part.transpose(2, 0, 1)) for part in (world.position, world.velocity))
     offset = (position[:, :, 1:] - position[:, :, :1])[:, *many]
-    relative_velocity = velocity[:, :, 1:][:, *many] - np.moveaxis(action, -1, 0)[..., None]
+    relative_velocity = velocity[:, :, 1:][:, *many] - action.transpose(-1, *range(action.ndim - 1))[..., None]
     radii = (world.radius[:, 1:] + world.radius[:, :1])[many]
-    gap = closest_approach(np.moveaxis(offset, 0, -1), np.moveaxis(relative_velocity, 0, -1), simulation.time_step)
+    apart, moving = (part.transpose(*range(1, part.ndim), 0) for part in (offset, relative_velocity))
+    gap = closest_approach(apart, moving, simulation.time_step)
     separations = np.fmin(gap - radii, np.inf)  # where there is nobody, too
 
     goal_distance = length(robot + action * simulation.time_step - goal)

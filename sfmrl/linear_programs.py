@@ -42,7 +42,7 @@ def nearest_velocities(half_planes, max_speed, preferred):
         away_x, away_y = velocity - preferred.take(program, axis=1)
         return away_x * away_x + away_y * away_y
 
-    return _optima1(half_planes, max_speed, limit_speed(preferred, max_speed), wish, cost)
+    return _optima(half_planes, max_speed, limit_speed(preferred, max_speed), wish, cost, crowded=False)
 
 
 def least_violations(half_planes, n_hard, max_speed, velocity):
@@ -69,8 +69,9 @@ def least_violations(half_planes, n_hard, max_speed, velocity):
     def cost(velocity, program):
         return -(normal_x[program] * velocity[0] + normal_y[program] * velocity[1])
 
-    best, feasible = _optima(projected, speed, np.stack([normal_x * speed, normal_y * speed]), wish, cost)
-    fits = np.flatnonzero(feasible & possible)
+    furthest = np.stack([normal_x * speed, normal_y * speed])
+    best, feasible = _optima(projected, speed, furthest, wish, cost, crowded=True)
+    fits = (feasible & possible).nonzero()[0]
     found = np.zeros(len(max_speed), bool)
     _keep_best(velocity, found, owner[fits], violations(carrier, best)[fits], best.take(fits, axis=1))
     return velocity, found
@@ -128,88 +129,63 @@ def bits(condition):
     return np.negative(mask, out=mask)
 
 
-def _optima(half_planes, max_speed, velocity, wish, cost):
+def _optima(half_planes, max_speed, velocity, wish, cost, *, crowded):
     """Return the best permitted velocities (2, Q), and whether there are any (Q,).
 
     `velocity` (2, Q) is the best within the disc alone. For lines (4, K) and their programs (K,), `wish` tells how far
-    along the line the best velocity would be, and `cost` how bad velocities (2, K) are.
+    along the line the best velocity would be, and `cost` how bad velocities (2, K) are. `crowded` adds a step between
+    the second and the third: the best on the line that is now violated most, within the one before. It pays where
+    several half-planes are still violated; the others come to the same end without it.
     """
-    programs = len(max_speed)
-    feasible = np.ones(programs, bool)
+    feasible = np.ones(len(max_speed), bool)
 
     def settle(line, program, left, right):
         """Move to the best velocities between the ends of lines, and return which of the lines there are any on."""
-        fits = left <= right
-        feasible[program] = fits
-        fits = np.flatnonzero(fits)
+        feasible[program] = fits = left <= right
+        fits = fits.nonzero()[0]
         velocity[:, program[fits]] = _along(line, left, right, wish(line, program)).take(fits, axis=1)
         return fits
 
-    excess = violations(half_planes, velocity)
-    most = excess.max(axis=0, initial=0)
-    most[most <= 0] = np.nan
-    first, line, program = _lines_where(excess == most, half_planes)
+    first, line, program = _most_violated(violations(half_planes, velocity), half_planes)
     fits = settle(line, program, *_chord(line, max_speed[program]))
-    used = np.zeros(programs, int)
-    used[program[fits]] = first[fits]
-
+    used, program = first[fits], program[fits]
     excess = violations(half_planes, velocity)
-    excess.reshape(-1)[first[fits]] -= ROUNDING  # by which a velocity on the line may violate it
-    most = excess.max(axis=0, initial=0)
-    most[(most <= 0) | ~feasible] = np.nan
-    second, line, program = _lines_where(excess == most, half_planes)
-    if not len(program):
-        return velocity, feasible
-    first = used[program]
-    others = half_planes.reshape(4, -1).take(first, axis=1)[:, None]
-    fits = settle(line, program, *_interval(line, others, max_speed[program]))
+    excess.reshape(-1)[used] -= ROUNDING  # by which a velocity on the line may violate it
+    programs = np.arange(len(max_speed))
+    if crowded:
+        first = programs.copy()
+        first[program] = used
+        second, line, program = _most_violated(excess * feasible, half_planes)
+        first = first[program]
+        others = half_planes.reshape(4, -1).take(first, axis=1)[:, None]
+        fits = settle(line, program, *_interval(line, others, max_speed[program]))
+        programs = program[fits]
+        half_planes = half_planes.take(programs, axis=2)
+        excess = violations(half_planes, velocity.take(programs, axis=1))
+        for used in (first, second):
+            excess[used[fits] // len(max_speed), np.arange(len(fits))] -= ROUNDING
 
-    program = program[fits]
-    half_planes = half_planes.take(program, axis=2)
-    excess = violations(half_planes, velocity.take(program, axis=1))
-    for line in (first, second):
-        excess[line[fits] // programs, np.arange(len(fits))] -= ROUNDING
     _, line, column = _lines_where(excess > 0, half_planes)
-    program = program[column]
+    program = programs[column]
     feasible[program] = False
     left, right = _interval(line, half_planes.take(column, axis=2, mode="clip"), max_speed[program])
     candidate = _along(line, left, right, wish(line, program))
-    fits = np.flatnonzero(left <= right)
+    fits = (left <= right).nonzero()[0]
     program, candidate = program[fits], candidate.take(fits, axis=1)
     _keep_best(velocity, feasible, program, cost(candidate, program), candidate)
     return velocity, feasible
 
 
-def _optima1(half_planes, max_speed, velocity, wish, cost):
-    """Return the best permitted velocities (2, Q), and whether there are any (Q,).
-
-    `velocity` (2, Q) is the best within the disc alone. For lines (4, K) and their programs (K,), `wish` tells how far
-    along the line the best velocity would be, and `cost` how bad velocities (2, K) are.
-    """
-    feasible = np.ones(len(max_speed), bool)
-    excess = violations(half_planes, velocity)
+def _most_violated(excess, half_planes):
+    """Return `_lines_where` a violation (M, Q) is its program's greatest, for the programs that have any."""
     most = excess.max(axis=0, initial=0)
     most[most <= 0] = np.nan
-    chosen, line, program = _lines_where(excess == most, half_planes)
-    left, right = _chord(line, max_speed[program])
-    meets = np.flatnonzero(left <= right)
-    velocity[:, program[meets]] = _along(line, left, right, wish(line, program)).take(meets, axis=1)
-
-    excess = violations(half_planes, velocity)
-    excess.reshape(-1)[chosen[meets]] -= ROUNDING
-    _, line, program = _lines_where(excess > 0, half_planes)
-    feasible[program] = False
-    left, right = _interval(line, half_planes.take(program, axis=2, mode="clip"), max_speed[program])
-    candidate = _along(line, left, right, wish(line, program))
-    fits = np.flatnonzero(left <= right)
-    program, candidate = program[fits], candidate.take(fits, axis=1)
-    _keep_best(velocity, feasible, program, cost(candidate, program), candidate)
-    return velocity, feasible
+    return _lines_where(excess == most, half_planes)
 
 
 def _lines_where(condition, half_planes):
     """Return where the condition (M, Q) holds (K,), the lines (4, K) there, and the programs (K,) whose they are."""
-    chosen = np.flatnonzero(condition)
+    chosen = condition.ravel().nonzero()[0]
     return chosen, half_planes.reshape(4, -1).take(chosen, axis=1), chosen % condition.shape[1]
 
 
@@ -276,7 +252,7 @@ def _keep_best(velocity, found, program, cost, candidate):
     """Write each program's candidate (2, K) of the least cost (K,) into velocity (2, Q), and True into found (Q,)."""
     least = np.full(len(found), INFINITY)
     np.minimum.at(least, program, cost)
-    best = np.flatnonzero(cost == least[program])
+    best = (cost == least[program]).nonzero()[0]
     program = program[best]
     velocity[:, program] = candidate.take(best, axis=1)
     found[program] = True

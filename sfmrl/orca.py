@@ -85,7 +85,7 @@ def orca_velocities(
     wanted = present = ~np.isnan(planes[0])
     if agents is not None:
         wanted = present & _checked("agents", agents, shape).astype(bool).T
-    others, own = np.flatnonzero(present.any(axis=1)), np.flatnonzero(wanted.any(axis=1))
+    others, own = present.any(axis=1).nonzero()[0], wanted.any(axis=1).nonzero()[0]
 
     velocities = np.full((episodes, rows, 2), np.nan)
     pairs = max(1, edges.shape[1], min(max_neighbors, len(others)))  # of each agent
@@ -200,9 +200,9 @@ def _velocities(agent, lines, edges, obstacle_time_horizon):
     hard, owner, ends = edge_half_planes(edges, agent[:6], obstacle_time_horizon)
     moved = (violations(lines, velocity) > 0).any(axis=0)
     moved[owner[violations(hard, velocity.take(owner, axis=1)) > 0]] = True
-    pair = np.flatnonzero(moved[owner])
+    pair = moved[owner].nonzero()[0]
     owner = (np.cumsum(moved) - 1)[owner[pair]]
-    moved = np.flatnonzero(moved)
+    moved = moved.nonzero()[0]
     radius = agent[4].reshape(-1)[moved]
     hard = uncovered(hard.take(pair, axis=1), owner, ends.take(pair, axis=1), radius, obstacle_time_horizon)
     lines = np.concatenate([hard, lines.take(moved, axis=2)], axis=1)
@@ -216,7 +216,7 @@ def _permitted(half_planes, n_hard, max_speed, preferred):
     Where the hard half-planes, the first n_hard of (4, M, Q), have only rounding errors in common, the first ones win.
     """
     velocity, feasible = nearest_velocities(half_planes, max_speed, preferred)
-    rest = np.flatnonzero(~feasible)
+    rest = (~feasible).nonzero()[0]
     if len(rest):
         velocity[:, rest], found = least_violations(
             half_planes.take(rest, axis=2), n_hard, max_speed[rest], velocity.take(rest, axis=1)

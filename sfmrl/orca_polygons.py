@@ -47,14 +47,14 @@ def edge_half_planes(edges, agent, time_horizon):
         seen = sight.reshape(len(sight), -1).take(slot * agents + owner, axis=1)
         outline = edges[4:].take(slot * episodes + episode[owner], axis=1)
         planes, counts = _half_planes(seen, outline, agent[2:5].take(owner, axis=1), 1 / np.float32(time_horizon))
-        counts = np.flatnonzero(counts)
+        counts = counts.nonzero()[0]
         return planes.take(counts, axis=1), slot[counts], owner[counts]
 
     left = squared < INFINITY
     found = []
     if left.size > FEW:
         nearest = key.min(axis=0)
-        owner = np.flatnonzero(nearest < FAR)
+        owner = (nearest < FAR).nonzero()[0]
         slot = nearest[owner] & 0xFFFF
         left.reshape(-1)[slot * agents + owner] = False
         planes, slot, owner = planes_of(slot, owner)
@@ -62,7 +62,7 @@ def edge_half_planes(edges, agent, time_horizon):
         covering = np.zeros((4, agents), np.float32)
         covering[:, owner] = planes
         left &= ~covers(covering, sight[:4], agent[4], time_horizon)
-    found.append(planes_of(*np.divmod(np.flatnonzero(left), agents)))
+    found.append(planes_of(*np.divmod(left.ravel().nonzero()[0], agents)))
     planes, slot, owner = (np.concatenate(parts, axis=-1) for parts in zip(*found, strict=True))
     pair = slot * agents + owner
     order = np.argsort(owner << 47 | key.reshape(-1)[pair])
@@ -89,7 +89,7 @@ def uncovered(half_planes, owner, ends, radius, time_horizon):
         before, kept = kept, np.ones(len(owner), bool)
         kept[later[before[nearer]]] = False
 
-    kept = np.flatnonzero(kept)
+    kept = kept.nonzero()[0]
     half_planes, owner = half_planes.take(kept, axis=1), owner[kept]
     row = np.arange(len(owner)) - _firsts(owner, agents)
     packed = np.zeros((4, int(row.max(initial=-1)) + 1, agents), np.float32)
@@ -146,7 +146,7 @@ def _half_planes(sight, outline, agent, inverse):
     corner, wall = sight[:4].reshape(2, 2, -1), outline[:4].reshape(2, 2, -1)
     convex, own = outline[4:6] > 0, outline[6:]
     for end in (0, 1):
-        seen = np.flatnonzero(beyond[end])
+        seen = beyond[end].nonzero()[0]
         corner[:, 1 - end, seen] = corner[:, end, seen]
         convex[1 - end, seen] = convex[end, seen]
         wall[:, 1 - end, seen] = own[:, seen] * -SIDES[1 - end]
@@ -157,7 +157,7 @@ def _half_planes(sight, outline, agent, inverse):
     # An agent that touches the edge must not come nearer: a half-plane through the origin. At the edge's end, the next
     # edge takes care of it if the agent faces that one, too.
     touching = squared <= radius_squared
-    touched = np.flatnonzero(touching)
+    touched = touching.nonzero()[0]
     half_planes[:, touched] = _clear(corner[:, 0, touched], single[touched], own[:, touched])
     counts |= touching
     counts &= convex[0] | ~single
@@ -176,7 +176,7 @@ def _legs(corner, convex, radius, own, wall):
     leg = np.empty_like(corner)
     np.multiply(corner[0] * length - corner[1] * side, scale, out=leg[0])
     np.multiply(corner[0] * side + corner[1] * length, scale, out=leg[1])
-    end, pair = np.divmod(np.flatnonzero(~convex), len(radius))
+    end, pair = np.divmod((~convex).ravel().nonzero()[0], len(radius))
     leg[:, end, pair] = own[:, pair] * -SIDES[end, 0]
     foreign = convex & (_det(leg, wall) * SIDES >= 0)
     return choose(bits(foreign), wall, leg), foreign
