@@ -98,20 +98,33 @@ def one_by_one(half_planes, max_speed, preferred):
 
 
 def violations(half_planes, velocity):
-    """Return by how much (M, Q), in m/s, each velocity (2, Q) lies outside each of its half-planes (4, M, Q)."""
-    point_x, point_y, direction_x, direction_y = half_planes
-    excess = point_y - velocity[1]
-    excess *= direction_x
-    sideways = point_x - velocity[0]
-    sideways *= direction_y
+    """Return by how much, in m/s, each velocity (2, Q) lies outside each of its half-planes (4, M, Q) or (4, Q)."""
+    if half_planes.ndim > velocity.ndim:
+        velocity = velocity[:, None]
+    sideways, excess = products = half_planes[:2] - velocity
+    products *= half_planes[:1:-1]  # direction y, direction x
     excess -= sideways
     return excess
 
 
 def limit_speed(velocity, max_speed):
     """Return the velocities (2, Q) with those faster than max_speed (Q,) shortened to it."""
-    squared = velocity[0] * velocity[0] + velocity[1] * velocity[1]
+    squared = dot(velocity, velocity)
     return choose(bits(squared > max_speed * max_speed), velocity * (1 / np.sqrt(squared)) * max_speed, velocity)
+
+
+def dot(a, b):
+    """Scalar product of vectors (2, ...)."""
+    product = a * b
+    product[0] += product[1]
+    return product[0]
+
+
+def det(a, b):
+    """Two-dimensional cross product of vectors (2, ...)."""
+    product = a * b[::-1]
+    product[0] -= product[1]
+    return product[0]
 
 
 def choose(mask, yes, no):
@@ -196,9 +209,9 @@ def _along(line, left, right, wish):
 
 def _chord(line, max_speed):
     """Return the left and right ends (K,) of the part of lines (4, K) inside the disc, NaN where they miss it."""
-    point_x, point_y, direction_x, direction_y = line
-    middle = point_x * direction_x + point_y * direction_y
-    half = np.sqrt(middle * middle + max_speed * max_speed - (point_x * point_x + point_y * point_y))
+    point = line[:2]
+    middle = dot(point, line[2:])
+    half = np.sqrt(middle * middle + max_speed * max_speed - dot(point, point))
     return -middle - half, half - middle
 
 
@@ -208,15 +221,11 @@ def _interval(line, others, max_speed):
     A line coincides with itself, and half-planes of zeros with everything: the tiny numbers make such pairs meet far
     away on the right. Other parallel lines meet far away on the side that permits or forbids everything.
     """
-    point_x, point_y, direction_x, direction_y = line
-    others_x, others_y, along_x, along_y = others
-    sine = direction_x * along_y
-    sine -= direction_y * along_x
+    sideways, sine = products = others[2:] * line[:1:-1, None]
+    sine -= sideways
     sine += TINIER
-    meeting = point_y - others_y
-    meeting *= along_x
-    sideways = point_x - others_x
-    sideways *= along_y
+    sideways, meeting = products = line[:2, None] - others[:2]
+    products *= others[:1:-1]
     meeting -= sideways
     meeting += TINY
     meeting /= sine
@@ -233,18 +242,23 @@ def _bisectors(half_planes, n_hard, line):
 
     half_planes (4, M, K), all those of the line's program, are overwritten; the hard ones stay as they are.
     """
-    point_x, point_y, along_x, along_y = half_planes[:, n_hard:]
-    more = along_x * point_y - along_y * point_x - (line[2] * line[1] - line[3] * line[0])
-    turn_x, turn_y = along_x - line[2], along_y - line[3]
-    squared = turn_x * turn_x + turn_y * turn_y
-    more -= OUT_OF_REACH * ((along_x == 0) & (along_y == 0))  # half-planes of zeros
+    soft = half_planes[:, n_hard:]
+    none = (soft[2:] == 0).all(axis=0)
+    sideways, more = soft[:2] * soft[:1:-1]  # both offsets from the origin
+    more -= sideways
+    more -= line[2] * line[1] - line[3] * line[0]
+    more -= OUT_OF_REACH * none  # half-planes of zeros
+    turn = soft[2:]
+    turn -= line[2:, None]
+    squared = dot(turn, turn)
     # Of two lines in the same direction, one is violated more everywhere.
     possible = ~((squared == 0) & (more > 0)).any(axis=0)
-    scale = 1 / np.sqrt(squared + TINIER)
+    squared += TINIER
+    scale = 1 / np.sqrt(squared, out=squared)
     more *= scale
-    turn_x *= scale
-    turn_y *= scale
-    np.stack([-more * turn_y, more * turn_x, turn_x, turn_y], out=half_planes[:, n_hard:])
+    turn *= scale
+    np.multiply(more, turn[::-1], out=soft[:2])
+    np.negative(soft[0], out=soft[0])
     return half_planes, possible
 
 

@@ -21,6 +21,8 @@ from sfmrl.linear_programs import (
     INFINITY,
     bits,
     choose,
+    det,
+    dot,
     least_violations,
     limit_speed,
     nearest_velocities,
@@ -137,7 +139,7 @@ def agent_half_planes(agent, other, time_step, neighbor_distance, time_horizon):
     agent (8, C, E) and other (5, M, C, E) are position, velocity, radius and so on, NaN where absent; float32, in m and
     m/s. time_step and time_horizon are in s, neighbor_distance in m. Source: the paper's section 4.
     """
-    change, direction = _shares(agent, other, time_step, neighbor_distance, time_horizon)
+    change, direction = _shares(agent[:, None], other, time_step, neighbor_distance, time_horizon)
     change += agent[2:4, None]
     return np.concatenate([change, direction])
 
@@ -148,39 +150,33 @@ def _shares(agent, other, time_step, neighbor_distance, time_horizon):
     agent and other are as in `agent_half_planes`, and broadcast behind their first axis. Both are zero where nobody
     is near.
     """
-    x, y, reach = other[0] - agent[0], other[1] - agent[1], other[4] + agent[4]
-    velocity_x, velocity_y = agent[2] - other[2], agent[3] - other[3]
-    squared, reach_squared = x * x + y * y, reach * reach
+    away, velocity, reach = other[:2] - agent[:2], agent[2:4] - other[2:4], other[4] + agent[4]
+    squared, reach_squared = dot(away, away), reach * reach
     # Agents that overlap must part within the time step.
     overlap = squared <= reach_squared
     rate = choose(bits(overlap), 1 / np.float32(time_step), 1 / np.float32(time_horizon))
 
     # From the centre of the cut-off disc to the relative velocity; the disc counts if that is on its near side.
-    w_x, w_y = velocity_x - rate * x, velocity_y - rate * y
-    w_squared = w_x * w_x + w_y * w_y
-    towards = w_x * x + w_y * y
+    w = velocity - rate * away
+    w_squared, towards = dot(w, w), dot(w, away)
     on_disc = bits(overlap | ((towards < 0) & (towards * towards > reach_squared * w_squared)))
 
     # Else the left leg of the cone counts, if the relative velocity is left of its axis, or the right one, reversed.
-    leg = np.copysign(np.sqrt(squared - reach_squared), x * w_y - y * w_x)
-    scale = 1 / squared
-    leg_x, leg_y = x * leg, x * reach
-    leg_x -= y * reach
-    leg_y += y * leg
-    leg_x *= scale
-    leg_y *= scale
-    along = velocity_x * leg_x + velocity_y * leg_y
+    side = np.copysign(np.sqrt(squared - reach_squared), det(away, w))
+    leg = away * side
+    across = away * reach
+    leg[0] -= across[1]
+    leg[1] += across[0]
+    leg *= 1 / squared
+    along = dot(velocity, leg)
 
     length = np.sqrt(w_squared)
-    scale = 1 / length
-    w_x *= scale
-    w_y *= scale
-    change = reach * rate - length
-
-    share = np.empty((2, *x.shape), np.float32)
-    np.multiply(choose(on_disc, change * w_x, along * leg_x - velocity_x), HALF, out=share[0])
-    np.multiply(choose(on_disc, change * w_y, along * leg_y - velocity_y), HALF, out=share[1])
-    direction = np.stack([choose(on_disc, w_y, leg_x), choose(on_disc, -w_x, leg_y)])
+    w *= 1 / length
+    share = choose(on_disc, (reach * rate - length) * w, along * leg - velocity)
+    share *= HALF
+    turned = w[::-1].copy()
+    np.negative(turned[1], out=turned[1])
+    direction = choose(on_disc, turned, leg)
     near = bits(squared < np.float32(neighbor_distance) * np.float32(neighbor_distance))
     share.view(np.int32)[...] &= near
     direction.view(np.int32)[...] &= near

@@ -17,7 +17,7 @@ Vectors are (2, K); what a pair has for both ends of its edge, start and end, ha
 
 import numpy as np
 
-from sfmrl.linear_programs import INFINITY, bits, choose
+from sfmrl.linear_programs import INFINITY, bits, choose, det, dot
 from sfmrl.polygons import FIELDS
 
 COVERED = np.float32(1e-5)  # m/s by which a covered edge may stick out
@@ -118,14 +118,14 @@ def _sights(edges, agent, time_horizon):
     at = sight[:4].reshape(2, 2, *sight.shape[1:])
     np.subtract(ends.reshape(2, 2, *start_x.shape), agent[:2, None, None], out=at)
     edge = np.stack([end_x - start_x, end_y - start_y])
-    along = np.divide(_dot(at[:, 0], edge), -_dot(edge, edge), out=sight[4])
+    along = np.divide(dot(at[:, 0], edge), -dot(edge, edge), out=sight[4])
     foot = at[:, 0] + along * edge
-    line_squared = sight[5] = _dot(foot, foot)
-    to_start, to_end = _dot(at, at)
+    line_squared = sight[5] = dot(foot, foot)
+    to_start, to_end = dot(at, at)
     inside = bits((along >= 0) & (along <= 1))
     squared = choose(inside, line_squared, np.minimum(to_start, to_end))
     reach = time_horizon * agent[5] + agent[4]
-    counts = bits((_det(at[:, 0], edge) < 0) & (squared < reach * reach))
+    counts = bits((det(at[:, 0], edge) < 0) & (squared < reach * reach))
     sight[6] = choose(counts, squared, INFINITY)
     return sight.reshape(7, len(start_x), -1)
 
@@ -161,7 +161,7 @@ def _half_planes(sight, outline, agent, inverse):
     half_planes[:, touched] = _clear(corner[:, 0, touched], single[touched], own[:, touched])
     counts |= touching
     counts &= convex[0] | ~single
-    counts &= ~(touching & beyond[1]) | (_det(corner[:, 1], wall[:, 1]) >= 0)
+    counts &= ~(touching & beyond[1]) | (det(corner[:, 1], wall[:, 1]) >= 0)
     return half_planes, counts
 
 
@@ -171,14 +171,14 @@ def _legs(corner, convex, radius, own, wall):
     A leg touches the disc around its corner, but runs along the edge where the outline turns inwards there, and along
     the neighbouring edge where it would cut into that.
     """
-    squared = _dot(corner, corner)
+    squared = dot(corner, corner)
     length, side, scale = np.sqrt(squared - radius * radius), SIDES * radius, 1 / squared
     leg = np.empty_like(corner)
     np.multiply(corner[0] * length - corner[1] * side, scale, out=leg[0])
     np.multiply(corner[0] * side + corner[1] * length, scale, out=leg[1])
     end, pair = np.divmod((~convex).ravel().nonzero()[0], len(radius))
     leg[:, end, pair] = own[:, pair] * -SIDES[end, 0]
-    foreign = convex & (_det(leg, wall) * SIDES >= 0)
+    foreign = convex & (det(leg, wall) * SIDES >= 0)
     return choose(bits(foreign), wall, leg), foreign
 
 
@@ -188,13 +188,13 @@ def _tangents(cut, velocity, leg, foreign, single, own, margin):
     An obstacle starts at the cut-off between the two ends of `cut`, goes on along the legs, and is `margin` wider.
     """
     towards = velocity[:, None] - cut
-    up = _dot(towards, leg)
+    up = dot(towards, leg)
     to_leg = velocity[:, None] - (cut + up * leg)
-    to_leg = choose(bits(up < 0), INFINITY, _dot(to_leg, to_leg))
+    to_leg = choose(bits(up < 0), INFINITY, dot(to_leg, to_leg))
     span = cut[:, 1] - cut[:, 0]
-    across = _dot(towards[:, 0], span) / _dot(span, span)
+    across = dot(towards[:, 0], span) / dot(span, span)
     to_cut = velocity - (cut[:, 0] + across * span)
-    to_cut = _dot(to_cut, to_cut)
+    to_cut = dot(to_cut, to_cut)
 
     left_corner = (up[0] < 0) & ((across < 0) | (single & (up[1] < 0)))
     right_corner = ~left_corner & (across > 1) & (up[1] < 0)
@@ -204,7 +204,7 @@ def _tangents(cut, velocity, leg, foreign, single, own, margin):
 
     right = bits(on_right)
     towards = choose(right, towards[:, 1], towards[:, 0])
-    towards *= 1 / np.sqrt(_dot(towards, towards))
+    towards *= 1 / np.sqrt(dot(towards, towards))
     direction = choose(bits(on_cut), -own, choose(right, -leg[:, 1], leg[:, 0]))
     direction = choose(bits(at_corner), np.stack([towards[1], -towards[0]]), direction)
     point = choose(right, cut[:, 1], cut[:, 0]) + margin * np.stack([-direction[1], direction[0]])
@@ -214,7 +214,7 @@ def _tangents(cut, velocity, leg, foreign, single, own, margin):
 
 def _clear(corner, single, own):
     """Return the half-planes (4, K) of velocities that lead away from the corners, where single, or the edges."""
-    around = np.stack([-corner[1], corner[0]]) * (1 / np.sqrt(_dot(corner, corner)))
+    around = np.stack([-corner[1], corner[0]]) * (1 / np.sqrt(dot(corner, corner)))
     return np.concatenate([np.zeros_like(own), np.where(single, around, -own)])
 
 
@@ -222,13 +222,3 @@ def _firsts(owner, agents):
     """Return the index of the first pair of the same agent, for all pairs (K,), sorted by their owners (K,)."""
     count = np.bincount(owner, minlength=agents)
     return (np.cumsum(count) - count)[owner]
-
-
-def _det(a, b):
-    """Two-dimensional cross product of vectors (2, ...)."""
-    return a[0] * b[1] - a[1] * b[0]
-
-
-def _dot(a, b):
-    """Scalar product of vectors (2, ...)."""
-    return a[0] * b[0] + a[1] * b[1]
