@@ -5,19 +5,97 @@ discounted rewards that really followed, up to the next random action, from wher
 random number comes from the seed and the episode's number, so what is played side by side changes none.
 """
 
-from collections.abc import Sequence
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import cache, partial
+from threading import Thread
 
 import numpy as np
+import torch
 
 from sfmrl.config import Config, Reinforcement
 from sfmrl.crowd import World
 from sfmrl.episodes import Record, play_episodes, returns_of
 from sfmrl.learner import Learner
-from sfmrl.policies import ACTIONS, Policy, step_discount
+from sfmrl.network import ValueNetwork, new_network
+from sfmrl.policies import ACTIONS, Policy, SarlPolicy, step_discount
 from sfmrl.scenarios import generator, sample_scenes
 
+Explored = tuple[Record, np.ndarray]
 
-def explore(policy: Policy, config: Config, episodes: Sequence[int]) -> tuple[Record, np.ndarray]:
+
+class Explorer:
+    """Plays training episodes with a network, on a process of its own if `aside`; a context manager.
+
+    Two threads of one process would wait for each other at each of the network's many operations. Should the process
+    be killed, its work is done here.
+    """
+
+    def __init__(self, config: Config, threads: int, aside: bool) -> None:
+        self._config, self._threads = config, threads
+        self._pool = self._policy = None
+        if aside:
+            spawn = multiprocessing.get_context("spawn")  # a fork would inherit torch's threads in the middle of work
+            self._pool = ProcessPoolExecutor(1, spawn, _prepare)
+            self._pool.submit(_policy, config, threads)  # all that takes time before the first episode
+
+    def __enter__(self) -> "Explorer":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._pool:
+            self._pool.shutdown(cancel_futures=True)
+
+    def start(self, actor: ValueNetwork, episodes: Sequence[int]) -> Callable[[], Explored]:
+        """Begin to `explore`, where that is aside, and return what waits for the outcome or else does the work.
+
+        The actor must stay as it is until then.
+        """
+        if self._pool is None:
+            return partial(self._explore, actor, episodes)
+        weights = actor.flat.cpu().numpy().copy()
+        future = self._pool.submit(_explore_aside, weights, self._config, self._threads, episodes)
+
+        def outcome() -> Explored:
+            try:
+                return future.result()
+            except BrokenProcessPool:
+                self._pool = None
+                return self._explore(actor, episodes)
+
+        return outcome
+
+    def _explore(self, actor: ValueNetwork, episodes: Sequence[int]) -> Explored:
+        if self._policy is None or self._policy.network is not actor:
+            self._policy = SarlPolicy(actor, self._config, self._threads)
+        return explore(self._policy, self._config, episodes)
+
+
+def _prepare() -> None:
+    """Leave signals to the process that asked for this one, and end with it."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+    torch.set_num_threads(1)
+
+
+@cache
+def _policy(config: Config, threads: int) -> SarlPolicy:
+    return SarlPolicy(new_network(config), config, threads)
+
+
+def _explore_aside(weights: np.ndarray, config: Config, threads: int, episodes: Sequence[int]) -> Explored:
+    policy = _policy(config, threads)
+    policy.network.flat.copy_(torch.from_numpy(weights))
+    return explore(policy, config, episodes)
+
+
+def explore(policy: Policy, config: Config, episodes: Sequence[int]) -> Explored:
     """Play training episodes with epsilon-greedy actions; their record, and which steps (E, T) were random."""
     settings = config.reinforcement
     scenes = sample_scenes(settings.environment, episodes, config.seed, phase="train")

@@ -187,13 +187,13 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def worker_threads(count: int, within: int = 1) -> ThreadPoolExecutor:
-    """Threads to compute on, with torch kept to so many threads `within` each of them."""
+def worker_threads(count: int) -> ThreadPoolExecutor:
+    """Threads to compute on, with torch kept to the one thread in each that it is."""
     import torch
 
     def prepare() -> None:
         torch.get_num_threads()  # makes torch settle on a number for this thread, which it would else do later
-        torch.set_num_threads(within)
+        torch.set_num_threads(1)
 
     return ThreadPoolExecutor(count, initializer=prepare)
 

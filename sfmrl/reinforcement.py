@@ -6,21 +6,19 @@ validate at intervals, and test in the end.
 
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from sfmrl.config import Config, ConfigError, Reinforcement
-from sfmrl.episodes import Record
 from sfmrl.evaluation import episode_rows, evaluate
-from sfmrl.exploration import explore, remember
+from sfmrl.exploration import Explored, Explorer, remember
 from sfmrl.files import DamagedFile, read_sums
 from sfmrl.imitation import DEMONSTRATIONS, fill_memory, fit_memory, load_demonstrations, make_memory, new_fit
 from sfmrl.learner import Learner
-from sfmrl.learning import USEFUL_THREADS
+from sfmrl.learning import torch_threads
 from sfmrl.network import load_weights, new_network, save_weights
-from sfmrl.policies import WEIGHTS, SarlPolicy, worker_threads
+from sfmrl.policies import WEIGHTS, SarlPolicy
 from sfmrl.progress import Progress
 from sfmrl.runs import Interrupted, Run, StopSignal, create_run, open_run, run_folders
 from sfmrl.states import column_names
@@ -60,16 +58,18 @@ def reinforce(
             progress=stop.watch(progress),
         )
 
-    while True:
-        if due(learner, settings):
-            rates = test("validation", settings.validation_episodes)
-            row = {"episode": learner.episode} | {name: rates[name] for name in VALIDATED}
-            learner.validations.append(row)
-            run.append_rows("validation.csv", [row])
-            say(f"validation at {learner.episode} of {settings.episodes}: {summary(rates)}")
-        if learner.episode >= settings.episodes:
-            break
-        train_stretch(run, learner, progress, stop, threads)
+    aside = settings.overlap and threads > 1 and learner.network.device.type == "cpu"
+    with Explorer(config, threads - aside, aside) as explorer:
+        while True:
+            if due(learner, settings):
+                rates = test("validation", settings.validation_episodes)
+                row = {"episode": learner.episode} | {name: rates[name] for name in VALIDATED}
+                learner.validations.append(row)
+                run.append_rows("validation.csv", [row])
+                say(f"validation at {learner.episode} of {settings.episodes}: {summary(rates)}")
+            if learner.episode >= settings.episodes:
+                break
+            train_stretch(run, learner, explorer, progress, stop, 1 if aside else threads)
     run.save_checkpoint(learner.state_dict())
     result = test("test", settings.test_episodes)
     run.write_json("result.json", result)
@@ -77,46 +77,39 @@ def reinforce(
     return result
 
 
-def train_stretch(run: Run, learner: Learner, progress: Progress, stop: StopSignal, threads: int) -> None:
+def train_stretch(
+    run: Run, learner: Learner, explorer: Explorer, progress: Progress, stop: StopSignal, threads: int
+) -> None:
     """Play and learn up to the next validation.
 
-    With `overlap` a round's episodes are played while the batches of the round before are learnt, on another thread;
-    what either reads is fixed before both begin, so the order in which they end makes no difference.
+    With `overlap` a round's episodes are played while the batches of the round before are learnt; what either reads is
+    fixed before both begin, so the order in which they end makes no difference.
     """
-    config, settings = run.config, run.config.reinforcement
-    aside = settings.overlap and threads > 1
-    policy = SarlPolicy(learner.actor, config, threads - aside)
-    interval = settings.validation_interval
-    end = min(interval * (learner.episode // interval + 1), settings.episodes)
+    settings = run.config.reinforcement
+    end = min(settings.validation_interval * (learner.episode // settings.validation_interval + 1), settings.episodes)
     saved_at = time.monotonic()
-    pending: tuple[Record, Future[float]] | None = None
 
-    def finish(pending: tuple[Record, Future[float]]) -> None:
-        record, learning = pending
-        loss = learning.result()
-        learner.advance(len(record.steps))
-        rows = [row | {"loss": loss} for row in episode_rows(record)]
-        learner.rows += rows
-        run.append_rows("metrics.csv", rows)
-        told(len(rows))
+    def start() -> Callable[[], Explored]:
+        return explorer.start(learner.actor, range(first, min(first + settings.parallel, end)))
 
-    within = 1 if aside else min(threads, USEFUL_THREADS)
-    with progress("reinforcement", end - learner.episode) as told, worker_threads(1, within) as background:
+    with progress("reinforcement", end - learner.episode) as told:
         first = learner.episode
-        while first < end:
-            episodes = range(first, min(first + settings.parallel, end))
-            first = episodes.stop
-            record, random_steps = explore(policy, config, episodes)
-            if pending:
-                finish(pending)
+        ahead = start()
+        while learner.episode < end:
+            record, random_steps = ahead()
             remember(learner, record, random_steps)
             learner.renew_actor()
-            pending = record, background.submit(learner.learn, len(episodes) * settings.batches)
-            save = stop.requested or first == end or time.monotonic() - saved_at > CHECKPOINT_EVERY
-            if save or not aside:
-                finish(pending)
-                pending = None
-            if save:
+            first += len(record.steps)
+            if first < end:
+                ahead = start()
+            with torch_threads(threads):
+                loss = learner.learn(len(record.steps) * settings.batches)
+            learner.advance(len(record.steps))
+            rows = [row | {"loss": loss} for row in episode_rows(record)]
+            learner.rows += rows
+            run.append_rows("metrics.csv", rows)
+            told(len(rows))
+            if stop.requested or first == end or time.monotonic() - saved_at > CHECKPOINT_EVERY:
                 run.save_checkpoint(learner.state_dict())
                 saved_at = time.monotonic()
             if stop.requested:

@@ -23,7 +23,7 @@ LEVELS = (
     ("options", "console", "session", "cli"),
 )
 ORDER = [name for level in LEVELS for name in level]
-WITH_TORCH = {"network", "gradients", "memory", "learning", "learner", "runs"}
+WITH_TORCH = {"network", "gradients", "memory", "learning", "learner", "exploration", "runs"}
 PACKAGE = sorted((ROOT / "sfmrl").glob("*.py"))
 FILES = [path for path in PACKAGE if path.stem not in ("__init__", "__main__")]
 
