@@ -1,97 +1,136 @@
 """How fast is sfmrl here: `python tests/benchmark.py`. Rates, and ratios to compiled RVO2 (pyrvo) from the same run.
 
-Nothing is asserted: machines differ, and so do their other users. Compare the ratios, not the seconds.
+Nothing is asserted: machines differ, and so do their other users. Compare the ratios, not the seconds. Sections can be
+named: `python tests/benchmark.py simulator scaling network episodes evaluation training`.
 """
 
 import platform
 import resource
+import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pyrvo
 import torch
 from rich.console import Console
 
-from sfmrl.config import Reward, Simulation
-from sfmrl.crowd import CROWDS, World
+from sfmrl import crowd, episodes
+from sfmrl.config import Config, Reward, Simulation
+from sfmrl.crowd import CROWDS
 from sfmrl.episodes import Record, play_episodes
-from sfmrl.exploration import explore, remember
-from sfmrl.imitation import demonstrate, fill_memory, make_memory
+from sfmrl.evaluation import evaluation_record
+from sfmrl.exploration import Explorer, remember
+from sfmrl.imitation import demonstrate, fill_memory, fit_memory, imitate, make_memory, new_fit
 from sfmrl.learner import Learner
-from sfmrl.learning import OPTIMIZERS, learn
-from sfmrl.network import ValueNetwork
+from sfmrl.learning import OPTIMIZERS, learn, torch_threads
+from sfmrl.network import ValueNetwork, resolved
 from sfmrl.placement import BARRIER
-from sfmrl.policies import SarlPolicy, orca_policy
+from sfmrl.policies import ACTIONS, SarlPolicy, available_cores, orca_policy
 from sfmrl.progress import no_progress
+from sfmrl.reinforcement import reinforce, start_run
+from sfmrl.runs import StopSignal, create_run
 from sfmrl.scenarios import Scenes, sample_scenes
 from sfmrl.variants import make_config
 
 console = Console(highlight=False, soft_wrap=True)
 SCENES = ("10 humans", "10 humans, barrier", "5 humans, barrier")
-CORES = torch.get_num_threads()
+CORES = available_cores()
 
 
 def main() -> None:
-    """Print every section."""
+    """Print the sections that are named on the command line, or all."""
     versions = f"numpy {np.__version__}, torch {torch.__version__}"
     console.print(f"{platform.machine()} {torch.backends.cpu.get_cpu_capability()}, {CORES} cores, {versions}")
     torch.set_num_threads(1)
-    simulator()
-    learning()
-    evaluation()
+    sections = (simulator, scaling, network, episodes_of_training, evaluation, training)
+    names = {section.__name__.partition("_")[0]: section for section in sections}
+    for name in sys.argv[1:] or names:
+        names[name]()
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     console.print(f"\npeak memory {peak:.2f} GiB")
 
 
 def simulator() -> None:
     """Environment steps per second, ORCA driving everybody, beside RVO2's own step on the same moments."""
-    console.print(
-        "\n[bold]simulator[/bold], one core; real episodes from start to end; microseconds a step of one episode"
-    )
-    heads = ("scene", "E", "steps/s", "step", "of it ORCA", "RVO2's step", "RVO2/ORCA", "RVO2/step")
-    console.print(f"{heads[0]:18} {heads[1]:>4}" + "".join(f"{head:>12}" for head in heads[2:]))
+    console.print("\n[bold]simulator[/bold], one core; real episodes from start to end; microseconds a step")
+    phases = ("ORCA", "sampling", "collisions", "rewards")
+    table("scene", "E", "steps/s", "step", *(f"of it {phase}" for phase in phases), "RVO2", "RVO2/ORCA", "RVO2/step")
     for title in SCENES:
         for batch in (1, 64, 256):
-            whole, orca, record = played(title, batch)
+            whole, parts, record = played(lambda title=title, batch=batch: scenes_of(title, batch), batch)
             rvo2 = rvo2_microseconds(record)
-            numbers = f"{1e6 / whole:12,.0f}" + "".join(f"{number:12.1f}" for number in (whole, orca, rvo2))
-            console.print(f"{title:18} {batch:4}{numbers}{rvo2 / orca:12.2f}{rvo2 / whole:12.2f}")
+            row(title, batch, 1e6 / whole, whole, *parts.values(), rvo2, rvo2 / parts["ORCA"], rvo2 / whole)
 
 
-def played(title: str, batch: int) -> tuple[float, float, Record]:
-    """Microseconds of a step in all and in ORCA, the best of three, and the record."""
-    inside = 0.0
+def scaling() -> None:
+    """How the cost of an agent's step changes with the number of episodes and of agents."""
+    console.print("\n[bold]scaling[/bold], one core; circle of 10 humans; microseconds a step")
+    table("", "E", "step", "of it ORCA")
+    for batch in (1, 4, 16, 64, 256, 1024):
+        whole, parts, _ = played(lambda batch=batch: scenes_of("10 humans", batch), batch)
+        row("", batch, whole, parts["ORCA"])
+    console.print("\nwalkers on a square of 1.5 m each, to places drawn at random; microseconds an agent's step")
+    table("humans", "E", "ORCA", "RVO2", "RVO2/ORCA", "memory, GiB")
+    for humans in (5, 10, 20, 50, 100, 200):
+        batch = 64 if humans < 100 else 16
+        _, parts, record = played(lambda humans=humans, batch=batch: walkers(humans, batch), batch)
+        rvo2 = rvo2_microseconds(record, 300)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+        row(str(humans), batch, parts["ORCA"] / (humans + 1), rvo2 / (humans + 1), rvo2 / parts["ORCA"], peak)
 
-    def timed(world: World, *rest: object) -> np.ndarray:
-        nonlocal inside
-        start = time.perf_counter()
-        velocity = plain(world, *rest)
-        inside += time.perf_counter() - start
-        return velocity
 
-    plain, CROWDS["orca"] = CROWDS["orca"], timed
+def played(scenes: Callable[[], Scenes], batch: int) -> tuple[float, dict[str, float], Record]:
+    """Microseconds of a step in all and in its parts, the best of three, and the record."""
+    spent = {}
+
+    def timed(part: str, plain: Callable) -> Callable:
+        def work(*args: object, **options: object) -> object:
+            start = time.perf_counter()
+            result = plain(*args, **options)
+            spent[part] += time.perf_counter() - start
+            return result
+
+        return work
+
+    plain = CROWDS["orca"], episodes.transition, episodes.rewards_of
+    CROWDS["orca"] = timed("ORCA", plain[0])
+    episodes.transition, episodes.rewards_of = timed("collisions", plain[1]), timed("rewards", plain[2])
     results = []
     for _ in range(3):
-        inside, start = 0.0, time.perf_counter()
-        scenes = scenes_of(title, {1: 5, 64: 200}.get(batch, 800))
-        record = play_episodes(scenes, orca_policy, Reward(), Simulation(), batch=batch)
-        steps = record.steps.sum()
-        results.append(((time.perf_counter() - start) / steps * 1e6, inside / steps * 1e6))
-    CROWDS["orca"] = plain
-    return *min(results), record
+        spent = dict.fromkeys(("ORCA", "sampling", "collisions", "rewards"), 0.0)
+        start = time.perf_counter()
+        sampled = timed("sampling", scenes)()
+        record = play_episodes(sampled, orca_policy, Reward(), Simulation(), batch=batch)
+        whole, steps = time.perf_counter() - start, record.steps.sum()
+        results.append((whole / steps * 1e6, {part: seconds / steps * 1e6 for part, seconds in spent.items()}))
+    CROWDS["orca"], episodes.transition, episodes.rewards_of = plain
+    return *min(results, key=lambda result: result[0]), record
 
 
-def scenes_of(title: str, episodes: int) -> Scenes:
+def scenes_of(title: str, batch: int) -> Scenes:
     """The paper's environment 2, or a circle crossing, on request with environment 2's barrier in the middle."""
+    count = {1: 5, 4: 12, 16: 48, 64: 200, 1024: 2048}.get(batch, 800)
     if title == "5 humans, barrier":
-        return sample_scenes("2", episodes)
-    circle = sample_scenes("circle", episodes)
+        return sample_scenes("2", count)
+    circle = sample_scenes("circle", count)
     if title == "10 humans":
         return circle
-    squares = np.broadcast_to(BARRIER, (episodes, 5, 2))
+    squares = np.broadcast_to(BARRIER, (count, 5, 2))
     start, goal = (np.concatenate((points, squares), axis=1) for points in (circle.start, circle.goal))
     return Scenes(start, goal, square=np.arange(16) > 10)
+
+
+def walkers(humans: int, count: int) -> Scenes:
+    """People and a robot on a grid, each bound for a place of another grid."""
+    side = int(np.ceil(np.sqrt(humans + 1)))
+    grid = 1.5 * np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2)
+    rng = np.random.default_rng(0)
+    places = np.array([[rng.permutation(grid)[: humans + 1] for _ in range(2)] for _ in range(count)])
+    return Scenes(places[:, 0] + rng.uniform(-0.2, 0.2, places[:, 0].shape), places[:, 1])
 
 
 def rvo2_microseconds(record: Record, moments: int = 2000) -> float:
@@ -105,52 +144,179 @@ def rvo2_microseconds(record: Record, moments: int = 2000) -> float:
             if not np.isnan(corners).any():
                 sim.add_obstacle([tuple(corner) for corner in corners.tolist()])
         sim.process_obstacles()
-        for row in np.flatnonzero(~world.square[moment] & ~np.isnan(world.position[moment, :, 0])):
-            agent = sim.add_agent(tuple(world.position[moment, row].tolist()))
-            sim.set_agent_velocity(agent, tuple(world.velocity[moment, row].tolist()))
-            sim.set_agent_pref_velocity(agent, tuple(preferred[moment, row].tolist()))
+        for who in np.flatnonzero(~world.square[moment] & ~np.isnan(world.position[moment, :, 0])):
+            agent = sim.add_agent(tuple(world.position[moment, who].tolist()))
+            sim.set_agent_velocity(agent, tuple(world.velocity[moment, who].tolist()))
+            sim.set_agent_pref_velocity(agent, tuple(preferred[moment, who].tolist()))
         start = time.perf_counter()
         sim.do_step()
         spent.append(time.perf_counter() - start)
     return float(np.mean(spent)) * 1e6
 
 
-def learning() -> None:
-    """Batches a second, and an RL episode of the paper's schedule."""
-    console.print("\n[bold]learning[/bold]")
-    network, rng = ValueNetwork(), np.random.default_rng(0)
-    states = torch.from_numpy(rng.normal(size=(100, 10, 13)).astype(np.float32))
-    values = torch.from_numpy(rng.random(100, dtype=np.float32))
-    optimizer = OPTIMIZERS["sgd"](network)
-    batch = fastest(lambda: [learn(network, optimizer, 1e-3, states, values) for _ in range(20)]) / 20
-    console.print(f"batches of 100: {1 / batch:.0f} a second")
-    for parallel in (1, 10):
-        config = make_config("paper", reinforcement={"environment": "circle", "parallel": parallel})
-        learner = Learner(ValueNetwork(), make_memory(config), config)
-        config_il = make_config("paper", imitation={"episodes": 100})
-        fill_memory(learner.memory, demonstrate(config_il, no_progress), config)
-        policy = SarlPolicy(learner.network, config, CORES)
+def network() -> None:
+    """Batches a second and microseconds a state, beside what the floating-point operations would take at GEMM peak."""
+    console.print(
+        "\n[bold]network[/bold], 10 elements, 13 columns; limit: its operations at the peak of matrix products"
+    )
+    for precision in precisions():
+        for threads in sorted({1, CORES}):
+            peak = gemm_peak(precision, threads)
+            console.print(f"{precision}, {threads} threads: matrix products at {peak / 1e9:.0f} GFLOP/s")
+            for size in (100, 200):
+                seconds, limit = batch_seconds(precision, threads, size), size * 3 * flops() / peak
+                took = f"{seconds * 1e3:.2f} ms, {1 / seconds:.0f} a second"
+                console.print(
+                    f"  a batch of {size}: {took}; limit {limit * 1e3:.2f} ms, {limit / seconds:.0%} of the time"
+                )
+            seconds, limit = lookahead_seconds(precision, threads), flops() / peak
+            took = f"{seconds * 1e6:.2f} us"
+            console.print(
+                f"  lookahead, a state: {took}; limit {limit * 1e6:.2f} us, {limit / seconds:.0%} of the time"
+            )
 
-        def episodes(learner: Learner = learner, policy: SarlPolicy = policy, parallel: int = parallel) -> None:
-            record, random_steps = explore(policy, learner.config, range(10, 10 + parallel))
-            remember(learner, record, random_steps)
-            learner.learn(parallel * 100)
 
-        took = fastest(episodes, 2) / parallel
-        console.print(f"RL episode of the paper's schedule, 10 humans, {parallel} side by side: {took:.3f} s")
+def flops(elements: int = 10) -> float:
+    """Floating-point operations of a state's way through the network; learning from it takes three times as many."""
+    parameters = {name: p.numel() for name, p in ValueNetwork().named_parameters() if name.endswith("weight")}
+    state = parameters["mlp2.2.weight"] + parameters["attention.0.weight"] / 2
+    state += sum(size for name, size in parameters.items() if name.startswith("mlp3"))
+    element = sum(parameters.values()) - state
+    return 2.0 * (state + elements * element)
+
+
+def precisions() -> list[str]:
+    """fp32, and bf16 where the processor has it."""
+    return sorted({"fp32", resolved("auto")}, reverse=True)
+
+
+def gemm_peak(precision: str, threads: int) -> float:
+    """Floating-point operations a second of a large matrix product."""
+    kind = torch.bfloat16 if precision == "bf16" else torch.float32
+    a = torch.rand(2048, 2048).to(kind)
+    torch.set_num_threads(threads)
+    seconds = fastest(lambda: a @ a, 10)
+    torch.set_num_threads(1)
+    return 2 * 2048**3 / seconds
+
+
+def batch_seconds(precision: str, threads: int, size: int) -> float:
+    """Seconds of a step of SGD on a batch."""
+    model, rng = ValueNetwork(precision=precision), np.random.default_rng(0)
+    states = torch.from_numpy(rng.normal(size=(size, 10, 13)).astype(np.float32))
+    values = torch.from_numpy(rng.random(size, dtype=np.float32))
+    optimizer = OPTIMIZERS["sgd"](model)
+    with torch_threads(threads):
+        return fastest(lambda: [learn(model, optimizer, 1e-3, states, values) for _ in range(20)], 10) / 20
+
+
+def lookahead_seconds(precision: str, threads: int) -> float:
+    """Seconds a state of weighing up all actions in 32 episodes, all but the crowd's own step included."""
+    world = crowd.reset(sample_scenes("circle", 32))
+    for _ in range(8):
+        moves = crowd.crowd_velocities(world)
+        world = crowd.advance(world, moves, moves[:, 0])
+    moves = crowd.crowd_velocities(world)
+    policy = SarlPolicy(ValueNetwork(precision=precision), make_config("paper"), threads)
+    return fastest(lambda: policy.lookahead(world, moves), 10) / (32 * len(ACTIONS))
+
+
+def episodes_of_training() -> None:
+    """Seconds of an RL episode, with a network that imitation has taught."""
+    console.print("\n[bold]episodes[/bold] of reinforcement: playing one, and the batches that follow it")
+    circle = {"reinforcement": {"environment": "circle"}}
+    for precision in precisions():
+        for preset, parallel in (("paper", 1), ("paper", 10), ("quick", 32)):
+            config = make_config(preset, precision=precision)
+            if preset == "paper":
+                config = make_config(preset, precision=precision, **circle, imitation={"episodes": 300, "epochs": 6})
+            settings = config.reinforcement
+            learner, aside = taught(config), settings.overlap and CORES > 1
+            with Explorer(config, CORES - aside, aside) as explorer:
+                ahead = explorer.start(learner.actor, range(parallel))
+                times, steps = [], 0
+                for number in range(1, 5 if parallel > 1 else 21):
+                    start = time.perf_counter()
+                    record, random_steps = ahead()
+                    remember(learner, record, random_steps)
+                    learner.renew_actor()
+                    ahead = explorer.start(learner.actor, range(number * parallel, (number + 1) * parallel))
+                    with torch_threads(1 if aside else CORES):
+                        learner.learn(parallel * settings.batches)
+                    times.append((time.perf_counter() - start) / parallel)
+                    steps += record.steps.sum() / parallel
+                ahead()
+            # The first round is not counted: with overlap, nothing has been played ahead of it.
+            console.print(
+                f"{preset} preset, {precision}, {parallel} side by side, {settings.batches} batches of "
+                f"{settings.batch_size}: {np.mean(times[1:]) * 1e3:.0f} ms an episode of {steps / len(times):.0f} steps"
+            )
+
+
+def taught(config: Config) -> Learner:
+    """A learner after imitation."""
+    memory, fit = make_memory(config), new_fit(config, "cpu")
+    fill_memory(memory, demonstrate(config, no_progress), config)
+    fit_memory(fit, memory, no_progress, lambda row: None, CORES)
+    return Learner(fit.network, memory, config)
 
 
 def evaluation() -> None:
-    """Test episodes of SARL."""
-    policy = SarlPolicy(ValueNetwork(), make_config("paper"), CORES)
-    scenes = sample_scenes("table1", 100)
-    record: list[Record] = []
-    took = fastest(lambda: record.append(play_episodes(scenes, policy, Reward(), Simulation())), 2)
-    steps = record[-1].steps.sum()
+    """Test episodes of SARL, taught by imitation."""
+    console.print("\n[bold]evaluation[/bold], SARL, 500 test episodes of table 1's mix")
+    for precision in precisions():
+        config = make_config("quick", precision=precision)
+        policy = SarlPolicy(taught(config).network, config, CORES)
+        start = time.perf_counter()
+        record = evaluation_record(policy)
+        took, steps = time.perf_counter() - start, record.steps.sum()
+        console.print(
+            f"{precision}: {took:.1f} s, {steps / 500:.0f} steps an episode, {took / steps * 1e3:.2f} ms a step"
+        )
+
+
+def training() -> None:
+    """Where the seconds of a quick training go."""
+    console.print("\n[bold]training[/bold]: sfmrl il && sfmrl rl --reward sfm, and its parts")
+    spent = {}
+
+    @contextmanager
+    def clock(title: str, total: int) -> Iterator[Callable[[int], None]]:
+        start = time.perf_counter()
+        yield lambda done: None
+        spent[title] = spent.get(title, 0.0) + time.perf_counter() - start
+
+    with tempfile.TemporaryDirectory() as folder:
+        start = time.perf_counter()
+        il = create_run("il", make_config(), Path(folder) / "il")
+        with StopSignal() as stop:
+            imitate(il, clock, stop, threads=CORES)
+            taught_after = time.perf_counter() - start
+            spent_before, spent = spent, {}
+            rl = start_run(make_config(variant="sarl-sfm2"), il.folder, False, Path(folder) / "rl", False)
+            result = reinforce(rl, clock, stop, lambda text: None, threads=CORES)
+            whole = time.perf_counter() - start
+    for title, parts, total in (("il", spent_before, taught_after), ("rl", spent, whole - taught_after)):
+        rest = total - sum(parts.values())
+        shown = ", ".join(f"{part} {seconds:.1f}" for part, seconds in (parts | {"the rest": rest}).items())
+        console.print(f"{title}: {total:.1f} s: {shown}")
+    settings = rl.config.reinforcement
+    batches = settings.episodes * settings.batches * settings.batch_size * 3 * flops()
     console.print(
-        f"\n[bold]evaluation[/bold], SARL: 100 episodes ({steps} steps) in {took:.1f} s, "
-        f"{took / steps / 81 * 1e6:.1f} us a state"
+        f"in all {whole:.1f} s, success {result['success']:.3f}; learning is {batches / 1e12:.1f} TFLOP, "
+        f"{batches / gemm_peak(rl.config.precision, 1):.1f} s of one core at the peak of matrix products"
     )
+
+
+def table(*heads: str) -> None:
+    """The head of a table."""
+    console.print(f"{heads[0]:18} {heads[1]:>4}" + "".join(f"{head:>17}" for head in heads[2:]))
+
+
+def row(title: str, batch: int, *numbers: float) -> None:
+    """A row of a table."""
+    texts = (f"{number:,.0f}" if number >= 1000 else f"{number:.2f}" for number in numbers)
+    console.print(f"{title:18} {batch:4}" + "".join(f"{text:>17}" for text in texts))
 
 
 def fastest(work: Callable[[], object], repeat: int = 3) -> float:
