@@ -14,7 +14,7 @@ Gradients = dict[str, Tensor]
 MANY = 256  # rows that threads would split among themselves
 
 
-@torch.no_grad()
+@torch.inference_mode()
 def loss_and_gradients(network: ValueNetwork, states: Tensor, values: Tensor) -> tuple[Tensor, Gradients]:
     """The mean squared error of the values (B,) of states (B, K, F), and its gradient by each parameter's name."""
     if len(states) == 1:  # the same twice, since the products of a single row depend on the number of threads
