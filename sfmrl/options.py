@@ -21,6 +21,9 @@ TITLES = {
 }
 
 
+DEFAULTS = {preset: make_config(preset) for preset in PRESETS}
+
+
 def settings_options(*sections: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Give a command an option for every knob of some sections of the config ("" is its top level).
 
@@ -60,7 +63,7 @@ def _section(config: Config, name: str) -> Any:
 def _parameter(section: str, name: str) -> inspect.Parameter:
     """The option of one knob: None where it is not given, its presets' values in the help text."""
     knob = next(item for item in fields(_section(Config(), section)) if item.name == name)
-    values = {preset: getattr(_section(make_config(preset), section), name) for preset in PRESETS}
+    values = {preset: getattr(_section(config, section), name) for preset, config in DEFAULTS.items()}
     shown = {preset: _text(value) for preset, value in values.items()}
     if len(set(shown.values())) == 1:
         default = f"default {shown['quick']}"
