@@ -268,6 +268,8 @@ def load_weights(path: Path) -> tuple[ValueNetwork, Config]:
             config = Config.from_json(content["config"])
         except ConfigError as error:
             raise ConfigError(f"the config in {path} cannot be used: {error}") from error
-        return network_from(content["weights"], str(path), config.value_prior, config.precision), config
+        # A processor without bfloat16 only has to imitate it, which is slow: it plays in float32 what others trained.
+        precision = "auto" if config.precision == "bf16" else config.precision
+        return network_from(content["weights"], str(path), config.value_prior, precision), config
     network = network_from(content, str(path))
     return network, Config(preset="paper", forces=network.forces)

@@ -1,5 +1,6 @@
 """The SARL network against CrowdNav's, what must not matter to its value, and files that are good, foreign or evil."""
 
+import copy
 import io
 import pickle
 import re
@@ -16,7 +17,7 @@ from torch import nn
 from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import evaluation_record, metrics
 from sfmrl.files import DamagedFile
-from sfmrl.network import ValueNetwork, load_weights, save_weights
+from sfmrl.network import ValueNetwork, load_weights, new_network, save_weights
 from sfmrl.policies import load_policy
 from sfmrl.states import OWN, column_names
 from sfmrl.variants import make_config
@@ -147,9 +148,10 @@ def test_without_any_row_for_elements_there_is_a_value_too():
     assert attention.shape == (3, 0)
 
 
+@pytest.mark.parametrize("precision", ["fp32", "bf16"])
 @pytest.mark.parametrize(("forces", "elements"), [(False, 1), (False, 10), (True, 4)])
-def test_a_state_s_value_has_the_same_bits_whatever_shares_its_batch(forces, elements):
-    network = ValueNetwork(forces, value_prior=True)
+def test_a_state_s_value_has_the_same_bits_whatever_shares_its_batch(forces, elements, precision):
+    network = ValueNetwork(forces, value_prior=True, precision=precision)
     states = random_states(700, elements, forces)
     states[..., 0] = np.random.default_rng(1).uniform(0, 9, (700, 1))  # goal distances, in metres
     values = network.evaluate(states)[0]
@@ -167,6 +169,43 @@ def test_absent_elements_of_one_state_do_not_change_the_bits_of_another():
     holes = states.copy()
     holes[20:, 7:, network.own :] = np.nan
     np.testing.assert_array_equal(network.evaluate(holes)[0][:20], alone[:20])
+
+
+def test_parameters_stay_parts_of_one_tensor_and_copies_have_their_own():
+    network = ValueNetwork(value_prior=True, seed=2, precision="bf16")
+    states = random_states(8, 4)
+    before = network.evaluate(states)[0]
+    clone = copy.deepcopy(network)
+    np.testing.assert_array_equal(clone.evaluate(states)[0], before)
+    moved = ValueNetwork(value_prior=True, precision="bf16").to("cpu")
+    moved.load_state_dict(network.state_dict())
+    for one in (clone, moved):
+        one.flat.zero_()
+        assert all(not parameter.any() for parameter in one.parameters())
+        assert (one.precision, one.value_prior) == ("bf16", True)
+    np.testing.assert_array_equal(network.evaluate(states)[0], before)
+
+
+def test_bfloat16_changes_values_by_its_rounding_alone():
+    exact, low = ValueNetwork(forces=True, seed=6), ValueNetwork(forces=True, seed=6, precision="bf16")
+    states = random_states(200, 10, forces=True)
+    states[::4, 7:, exact.own :] = np.nan
+    (value, attention), (low_value, low_attention) = exact.evaluate(states), low.evaluate(states)
+    assert 0 < np.abs(low_value - value).max() < 0.01
+    assert np.abs(low_attention - attention).max() < 0.01
+    assert np.corrcoef(value, low_value)[0, 1] > 0.999
+    with torch.no_grad():  # relu as integers, and without
+        no_grad = low(torch.from_numpy(states)).numpy()
+    np.testing.assert_allclose(low(torch.from_numpy(states)).detach().numpy(), no_grad, atol=1e-6)
+
+
+def test_the_config_s_precision_is_the_network_s():
+    for precision in ("fp32", "bf16"):
+        assert new_network(Config(precision=precision)).precision == precision
+    assert new_network(Config(precision="auto")).precision in ("fp32", "bf16")
+    assert make_config("paper").precision == "fp32"
+    with pytest.raises(ConfigError, match="precision is 'fp16'; choose fp32, bf16, auto"):
+        Config(precision="fp16")
 
 
 def test_a_weights_file_gives_back_network_and_config(tmp_path):
