@@ -14,7 +14,8 @@ _HOME = {
     "variants": ("make_config",),
     "sfm": ("goal_force", "repulsive_forces", "resultant", "sfm_velocities"),
     "orca": ("orca_velocities",),
-    "network": ("ValueNetwork", "load_weights"),
+    "network": ("ValueNetwork",),
+    "weights": ("load_weights",),
     "scenarios": ("Scenes", "sample_scenes"),
     "rewards": (
         "RUNNING",

@@ -16,13 +16,15 @@ from sfmrl.episodes import Record, play_episodes, returns_of, rewards_of
 from sfmrl.files import read_checked, write_atomically
 from sfmrl.learning import Fit, torch_threads
 from sfmrl.memory import Memory
-from sfmrl.network import ValueNetwork, new_network, save_weights
+from sfmrl.network import ValueNetwork, new_network
 from sfmrl.policies import WEIGHTS, orca_policy, step_discount
 from sfmrl.progress import Progress
 from sfmrl.rewards import Transition, reward_terms
-from sfmrl.runs import Interrupted, Run, StopSignal
+from sfmrl.runs import Run
 from sfmrl.scenarios import Scenes, elements_of, generator, sample_scenes
 from sfmrl.states import OWN, column_names
+from sfmrl.stopping import Interrupted, StopSignal
+from sfmrl.weights import save_weights
 
 DEMONSTRATIONS = "demonstrations.npz"
 

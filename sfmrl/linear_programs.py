@@ -21,7 +21,8 @@ Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, sect
 
 import numpy as np
 
-INFINITY = np.float32(np.inf)
+from sfmrl.vectors import INFINITY, dot, limit_speed
+
 OUT_OF_REACH = np.float32(1e6)  # m/s
 ROUNDING = np.float32(1e-6)  # m/s
 HUGE, TINY, TINIER = np.float32(1e38), np.float32(1e-20), np.float32(1e-30)
@@ -105,41 +106,6 @@ def violations(half_planes, velocity):
     products *= half_planes[:1:-1]  # direction y, direction x
     excess -= sideways
     return excess
-
-
-def limit_speed(velocity, max_speed):
-    """Return the velocities (2, Q) with those faster than max_speed (Q,) shortened to it."""
-    squared = dot(velocity, velocity)
-    return choose(bits(squared > max_speed * max_speed), velocity * (1 / np.sqrt(squared)) * max_speed, velocity)
-
-
-def dot(a, b):
-    """Scalar product of vectors (2, ...)."""
-    product = a * b
-    product[0] += product[1]
-    return product[0]
-
-
-def det(a, b):
-    """Two-dimensional cross product of vectors (2, ...)."""
-    product = a * b[::-1]
-    product[0] -= product[1]
-    return product[0]
-
-
-def choose(mask, yes, no):
-    """Return float32 `yes` where the mask has all `bits` and `no` where it has none, much faster than np.where."""
-    no = no.view(np.int32)
-    chosen = np.bitwise_xor(yes.view(np.int32), no)
-    chosen = np.bitwise_and(chosen, mask, out=chosen if chosen.ndim >= mask.ndim else None)
-    chosen ^= no
-    return chosen.view(np.float32)
-
-
-def bits(condition):
-    """Return int32 with all bits set where the condition holds, and none elsewhere."""
-    mask = condition.astype(np.int32)
-    return np.negative(mask, out=mask)
 
 
 def _optima(half_planes, max_speed, velocity, wish, cost, *, crowded):

@@ -1,9 +1,8 @@
 """Optimal Reciprocal Collision Avoidance (ORCA): velocities at which nobody collides if everybody does the same.
 
-For each neighbour, an agent gives up the velocities on one side of a line in velocity space: it takes over half of the
-smallest change of the two agents' relative velocity that keeps them apart for `time_horizon`. Polygons add lines of
-their own (`orca_polygons.py`). The agent then moves with the velocity nearest to its preferred one on the permitted
-side of every line (`linear_programs.py`).
+For each neighbour, an agent gives up the velocities on one side of a line in velocity space (`orca_agents.py`), and for
+each edge of a polygon near by (`orca_polygons.py`). It then moves with the velocity nearest to its preferred one on the
+permitted side of every line (`linear_programs.py`).
 
 Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, sections 4 and 5, and where the paper leaves
 details open, the behaviour of the authors' RVO2 library. Left out: a search tree for neighbours.
@@ -13,30 +12,18 @@ runs through one long row, and linear programs run only for agents whose preferr
 summed over an axis: an episode's result has the same bits whatever the batch.
 """
 
-from functools import cache
-
 import numpy as np
 
-from sfmrl.linear_programs import (
-    INFINITY,
-    bits,
-    choose,
-    det,
-    dot,
-    least_violations,
-    limit_speed,
-    nearest_velocities,
-    one_by_one,
-    violations,
-)
+from sfmrl.linear_programs import least_violations, nearest_velocities, one_by_one, violations
+from sfmrl.orca_agents import agent_half_planes, mutual_half_planes
 from sfmrl.orca_polygons import edge_half_planes, uncovered
 from sfmrl.polygons import FIELDS, Edges, polygon_edges
+from sfmrl.vectors import INFINITY, limit_speed
 
 __all__ = ["Edges", "orca_velocities", "polygon_edges"]
 
 BLOCK = 32768  # pairs at a time: a few such rows stay in the processor's cache
 LAST = 0x7FFFFFFF  # more than the bits of any float
-HALF = np.float32(0.5)
 
 
 def _keep_freed_memory():
@@ -108,79 +95,6 @@ def orca_velocities(
                 found = _velocities(agent, lines, edges[:, :, block], obstacle_time_horizon)
                 velocities[block, part] = np.where(wanted[part, block], found, np.float32(np.nan)).T
     return velocities
-
-
-def mutual_half_planes(agents, time_step, neighbor_distance, time_horizon):
-    """Return the half-planes (4, C - 1, C, E) by which all agents (8, C, E) share the avoiding of each other.
-
-    As `agent_half_planes`, with half the work: what one has on its left, the other has on its right, to the bit.
-    """
-    count, episodes = agents.shape[1:]
-    one, other = _couples(count)
-    first, second = agents.take(one, axis=1), agents.take(other, axis=1)
-    change, direction = _shares(first, second, time_step, neighbor_distance, time_horizon)
-    half_planes = np.empty((4, max(count - 1, 0), count, episodes), np.float32)
-    half_planes[:2, other - 1, one] = first[2:4] + change
-    half_planes[2:, other - 1, one] = direction
-    half_planes[:2, one, other] = second[2:4] - change
-    half_planes[2:, one, other] = np.negative(direction, out=direction)
-    return half_planes
-
-
-@cache
-def _couples(count):
-    """Return the indices of the first and the second of all couples among `count`."""
-    return np.triu_indices(count, 1)
-
-
-def agent_half_planes(agent, other, time_step, neighbor_distance, time_horizon):
-    """Return the half-planes (4, M, C, E) by which agents share the avoiding of others, without effect if far away.
-
-    agent (8, C, E) and other (5, M, C, E) are position, velocity, radius and so on, NaN where absent; float32, in m and
-    m/s. time_step and time_horizon are in s, neighbor_distance in m. Source: the paper's section 4.
-    """
-    change, direction = _shares(agent[:, None], other, time_step, neighbor_distance, time_horizon)
-    change += agent[2:4, None]
-    return np.concatenate([change, direction])
-
-
-def _shares(agent, other, time_step, neighbor_distance, time_horizon):
-    """Return by how much agents must change their velocities at least, and the half-planes' directions, both (2, ...).
-
-    agent and other are as in `agent_half_planes`, and broadcast behind their first axis. Both are zero where nobody
-    is near.
-    """
-    away, velocity, reach = other[:2] - agent[:2], agent[2:4] - other[2:4], other[4] + agent[4]
-    squared, reach_squared = dot(away, away), reach * reach
-    # Agents that overlap must part within the time step.
-    overlap = squared <= reach_squared
-    rate = choose(bits(overlap), 1 / np.float32(time_step), 1 / np.float32(time_horizon))
-
-    # From the centre of the cut-off disc to the relative velocity; the disc counts if that is on its near side.
-    w = velocity - rate * away
-    w_squared, towards = dot(w, w), dot(w, away)
-    on_disc = bits(overlap | ((towards < 0) & (towards * towards > reach_squared * w_squared)))
-
-    # Else the left leg of the cone counts, if the relative velocity is left of its axis, or the right one, reversed.
-    side = np.copysign(np.sqrt(squared - reach_squared), det(away, w))
-    leg = away * side
-    across = away * reach
-    leg[0] -= across[1]
-    leg[1] += across[0]
-    leg *= 1 / squared
-    along = dot(velocity, leg)
-
-    length = np.sqrt(w_squared)
-    w *= 1 / length
-    share = choose(on_disc, (reach * rate - length) * w, along * leg - velocity)
-    share *= HALF
-    turned = w[::-1].copy()
-    np.negative(turned[1], out=turned[1])
-    direction = choose(on_disc, turned, leg)
-    near = bits(squared < np.float32(neighbor_distance) * np.float32(neighbor_distance))
-    share.view(np.int32)[...] &= near
-    direction.view(np.int32)[...] &= near
-    return share, direction
 
 
 def _velocities(agent, lines, edges, obstacle_time_horizon):

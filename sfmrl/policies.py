@@ -93,7 +93,7 @@ def load_policy(name_or_path: str | Path, threads: int | None = None, device: st
                 f"{path} holds no {WEIGHTS}: that training has not ended; go on with it by --resume {path}"
             )
         path = path / WEIGHTS
-    from sfmrl.network import load_weights  # torch takes seconds to import: only for those who need it
+    from sfmrl.weights import load_weights  # torch takes seconds to import: only for those who need it
 
     network, config = load_weights(path)
     return SarlPolicy(network.to(device), config, threads or available_cores())

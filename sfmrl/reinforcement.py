@@ -17,11 +17,13 @@ from sfmrl.files import DamagedFile, read_sums
 from sfmrl.imitation import DEMONSTRATIONS, fill_memory, fit_memory, load_demonstrations, make_memory, new_fit
 from sfmrl.learner import Learner
 from sfmrl.learning import torch_threads
-from sfmrl.network import load_weights, new_network, save_weights
+from sfmrl.network import new_network
 from sfmrl.policies import WEIGHTS, SarlPolicy
 from sfmrl.progress import Progress
-from sfmrl.runs import Interrupted, Run, StopSignal, create_run, open_run, run_folders
+from sfmrl.runs import Run, create_run, open_run, run_folders
 from sfmrl.states import column_names
+from sfmrl.stopping import Interrupted, StopSignal
+from sfmrl.weights import load_weights, save_weights
 
 CHECKPOINT_EVERY = 20.0  # seconds between checkpoints; when they are taken changes no number
 EVALUATION_SEED = 0  # validation and test are the same episodes for every training seed, so that runs compare in pairs

@@ -55,7 +55,8 @@ def train(run: Any, work: Callable[..., Any]) -> Any:
     """Do a training's work; when it is asked to stop, say how to go on and exit with 130."""
     from sfmrl.progress import show_progress
     from sfmrl.rewards import reward_digest
-    from sfmrl.runs import Interrupted, StopSignal, sole_use
+    from sfmrl.runs import sole_use
+    from sfmrl.stopping import Interrupted, StopSignal
 
     how = f"sfmrl {run.kind} --resume {shlex.quote(str(run.folder))}"
     if run.finished:

@@ -32,8 +32,9 @@ from sfmrl.placement import BARRIER
 from sfmrl.policies import ACTIONS, SarlPolicy, available_cores, orca_policy
 from sfmrl.progress import no_progress
 from sfmrl.reinforcement import reinforce, start_run
-from sfmrl.runs import StopSignal, create_run
+from sfmrl.runs import create_run
 from sfmrl.scenarios import Scenes, sample_scenes
+from sfmrl.stopping import StopSignal
 from sfmrl.variants import make_config
 
 console = Console(highlight=False, soft_wrap=True)

@@ -17,10 +17,11 @@ from torch import nn
 from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import evaluation_record, metrics
 from sfmrl.files import DamagedFile
-from sfmrl.network import ValueNetwork, load_weights, new_network, save_weights
+from sfmrl.network import ValueNetwork, new_network
 from sfmrl.policies import load_policy
 from sfmrl.states import OWN, column_names
 from sfmrl.variants import make_config
+from sfmrl.weights import load_weights, save_weights
 
 
 @pytest.fixture(scope="module")

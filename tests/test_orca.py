@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sfmrl.linear_programs import least_violations, limit_speed, nearest_velocities, violations
+from sfmrl.linear_programs import least_violations, nearest_velocities, violations
 from sfmrl.orca import Edges, orca_velocities, polygon_edges
+from sfmrl.vectors import limit_speed
 
 REFERENCE = np.load(Path(__file__).parent / "data" / "orca_velocities.npz")
 SCENE = ("position", "velocity", "preferred_velocity", "radius", "max_speed", "polygons")

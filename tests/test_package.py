@@ -15,15 +15,26 @@ import sfmrl
 
 # The house from the ground up: a file imports only from those before it.
 LEVELS = (
-    ("config", "variants", "geometry", "files", "progress"),
-    ("linear_programs", "polygons", "orca_polygons", "orca", "sfm", "states", "network", "gradients"),
+    ("config", "variants", "geometry", "vectors", "files", "progress", "stopping"),
+    (
+        "linear_programs",
+        "polygons",
+        "orca_agents",
+        "orca_polygons",
+        "orca",
+        "sfm",
+        "states",
+        "network",
+        "weights",
+        "gradients",
+    ),
     ("placement", "scenarios", "rewards", "crowd", "policies", "episodes"),
     ("evaluation", "memory", "learning", "learner", "exploration", "runs", "imitation", "reinforcement"),
     ("canvas", "story", "timeline", "panel", "screen", "replay"),
     ("options", "console", "session", "cli"),
 )
 ORDER = [name for level in LEVELS for name in level]
-WITH_TORCH = {"network", "gradients", "memory", "learning", "learner", "exploration", "runs"}
+WITH_TORCH = {"network", "weights", "gradients", "memory", "learning", "learner", "exploration", "runs"}
 PACKAGE = sorted((ROOT / "sfmrl").glob("*.py"))
 FILES = [path for path in PACKAGE if path.stem not in ("__init__", "__main__")]
 

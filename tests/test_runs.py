@@ -18,11 +18,13 @@ from conftest import environment
 from sfmrl.config import Config, ConfigError
 from sfmrl.files import SUMS, DamagedFile, read_checked, read_sums, write_atomically
 from sfmrl.imitation import DEMONSTRATIONS, imitate, load_demonstrations
-from sfmrl.network import load_weights, resolved
+from sfmrl.network import resolved
 from sfmrl.policies import WEIGHTS, load_policy
 from sfmrl.progress import no_progress
-from sfmrl.runs import Interrupted, Run, StopSignal, create_run, newest_run, open_run, run_folders
+from sfmrl.runs import Run, create_run, newest_run, open_run, run_folders
+from sfmrl.stopping import Interrupted, StopSignal
 from sfmrl.variants import make_config
+from sfmrl.weights import load_weights
 
 TINY = make_config(imitation={"episodes": 10, "epochs": 3}, simulation={"time_limit": 14.0})
 
