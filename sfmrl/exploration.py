@@ -2,7 +2,8 @@
 
 Two kinds of value to learn: `td`, the reward plus the target network's value of the next state; and `returns`, the
 discounted rewards that really followed, up to the next random action, from where the target network speaks. Every
-random number comes from the seed and the episode's number, so what is played side by side changes none.
+random number comes from the seed and the episode's number, so what is played side by side changes none, nor on which
+process.
 """
 
 import multiprocessing
@@ -55,17 +56,22 @@ class Explorer:
 
         The actor must stay as it is until then.
         """
+        here = partial(self._explore, actor, episodes)
         if self._pool is None:
-            return partial(self._explore, actor, episodes)
+            return here
         weights = actor.flat.cpu().numpy().copy()
-        future = self._pool.submit(_explore_aside, weights, self._config, self._threads, episodes)
+        try:
+            future = self._pool.submit(_explore_aside, weights, self._config, self._threads, episodes)
+        except BrokenProcessPool:
+            self._pool = None
+            return here
 
         def outcome() -> Explored:
             try:
                 return future.result()
             except BrokenProcessPool:
                 self._pool = None
-                return self._explore(actor, episodes)
+                return here()
 
         return outcome
 

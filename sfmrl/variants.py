@@ -27,7 +27,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "schedule": "one-cycle",
         },
         "reinforcement": {
-            "episodes": 1500,
+            "episodes": 2000,
             "parallel": 32,
             "overlap": True,
             "batches": 6,

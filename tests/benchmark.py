@@ -57,9 +57,12 @@ def main() -> None:
 
 def simulator() -> None:
     """Environment steps per second, ORCA driving everybody, beside RVO2's own step on the same moments."""
-    console.print("\n[bold]simulator[/bold], one core; real episodes from start to end; microseconds a step")
-    phases = ("ORCA", "sampling", "collisions", "rewards")
-    table("scene", "E", "steps/s", "step", *(f"of it {phase}" for phase in phases), "RVO2", "RVO2/ORCA", "RVO2/step")
+    console.print(
+        "\n[bold]simulator[/bold], one core; real episodes from start to end; microseconds a step and its phases"
+    )
+    table(
+        "scene", "E", "steps/s", "step", "ORCA", "sampling", "collisions", "rewards", "RVO2", "RVO2/ORCA", "RVO2/step"
+    )
     for title in SCENES:
         for batch in (1, 64, 256):
             whole, parts, record = played(lambda title=title, batch=batch: scenes_of(title, batch), batch)
@@ -70,12 +73,12 @@ def simulator() -> None:
 def scaling() -> None:
     """How the cost of an agent's step changes with the number of episodes and of agents."""
     console.print("\n[bold]scaling[/bold], one core; circle of 10 humans; microseconds a step")
-    table("", "E", "step", "of it ORCA")
+    table("", "E", "step", "ORCA")
     for batch in (1, 4, 16, 64, 256, 1024):
         whole, parts, _ = played(lambda batch=batch: scenes_of("10 humans", batch), batch)
         row("", batch, whole, parts["ORCA"])
     console.print("\nwalkers on a square of 1.5 m each, to places drawn at random; microseconds an agent's step")
-    table("humans", "E", "ORCA", "RVO2", "RVO2/ORCA", "memory, GiB")
+    table("humans", "E", "ORCA", "RVO2", "RVO2/ORCA", "peak, GiB")
     for humans in (5, 10, 20, 50, 100, 200):
         batch = 64 if humans < 100 else 16
         _, parts, record = played(lambda humans=humans, batch=batch: walkers(humans, batch), batch)
@@ -311,13 +314,13 @@ def training() -> None:
 
 def table(*heads: str) -> None:
     """The head of a table."""
-    console.print(f"{heads[0]:18} {heads[1]:>4}" + "".join(f"{head:>17}" for head in heads[2:]))
+    console.print(f"{heads[0]:18} {heads[1]:>4}" + "".join(f"{head:>11}" for head in heads[2:]))
 
 
 def row(title: str, batch: int, *numbers: float) -> None:
     """A row of a table."""
     texts = (f"{number:,.0f}" if number >= 1000 else f"{number:.2f}" for number in numbers)
-    console.print(f"{title:18} {batch:4}" + "".join(f"{text:>17}" for text in texts))
+    console.print(f"{title:18} {batch:4}" + "".join(f"{text:>11}" for text in texts))
 
 
 def fastest(work: Callable[[], object], repeat: int = 3) -> float:

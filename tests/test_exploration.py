@@ -44,11 +44,17 @@ def test_episodes_played_aside_are_those_played_here(actor, aside):
         assert_same(aside.start(actor, range(4, 6))(), here.start(actor, range(4, 6))())
 
 
-def test_the_work_of_a_process_that_was_killed_is_done_here(actor, aside):
+@pytest.mark.parametrize("busy", [True, False])
+def test_the_work_of_a_process_that_was_killed_is_done_here(actor, aside, busy):
     aside.start(actor, range(1))()
     (process,) = aside._pool._processes.values()
-    ahead = aside.start(actor, range(3))
-    process.kill()
+    if busy:
+        ahead = aside.start(actor, range(3))
+        process.kill()
+    else:
+        process.kill()
+        process.join()
+        ahead = aside.start(actor, range(3))
     with Explorer(CONFIG, threads=1, aside=False) as here:
         expected = here.start(actor, range(3))()
     assert_same(ahead(), expected)
