@@ -140,10 +140,13 @@ def transition(world: World, action: np.ndarray) -> Transition:
     there = goal_distance < world.radius[:, 0][many]
     late = (world.steps >= simulation.longest - 1)[many]
     outcome = np.where(late, TIMEOUT, np.where(hit, COLLISION, np.where(there, SUCCESS, RUNNING)))
+    time, preferred = world.time + simulation.time_step, direction(goal - robot) * world.v_pref[:, 0][many][..., None]
+    if many[1:]:
+        time, preferred = np.broadcast_to(time[many], outcome.shape), np.broadcast_to(preferred, action.shape)
     return Transition(
-        time=np.broadcast_to((world.time + simulation.time_step)[many], outcome.shape),
+        time=time,
         velocity=action,
-        preferred_velocity=np.broadcast_to(direction(goal - robot) * world.v_pref[:, 0][many][..., None], action.shape),
+        preferred_velocity=preferred,
         goal_distance=goal_distance,
         separations=separations,
         outcome=outcome,
