@@ -90,7 +90,7 @@ def robot_states(
 
     names = column_names(forces)
     shape = np.broadcast_shapes(*(np.shape(column) for column in columns.values()))
-    states = np.empty((*shape, len(names)), dtype=np.float32)
-    for column, name in enumerate(names):
-        states[..., column] = columns[name]
-    return states
+    states = np.empty((len(names), *shape), dtype=np.float32)  # filled row by row, and then turned, which is faster
+    for row, name in enumerate(names):
+        states[row] = columns[name]
+    return np.ascontiguousarray(np.moveaxis(states, 0, -1))
