@@ -13,8 +13,8 @@ The paper adds one half-plane after the other. Here all programs take the same t
 
 Where no velocity fits, the greatest violation of the soft half-planes is minimised. One of them, the carrier, is
 violated most at that optimum, and being so is again a set of half-planes, those of its bisectors with the others: the
-carrier's own violation is minimised in it by the same steps, the second taken twice, since many half-planes are violated
-then. Every velocity violates at least one carrier.
+carrier's own violation is minimised in it by the same steps, the second taken twice, since many half-planes are
+violated then. Every velocity violates at least one carrier.
 
 Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, sections 5.2 and 5.3; de Berg et al.,
 "Computational Geometry", chapter 4. Left out: the random order of insertion, which only the paper's way needs.
