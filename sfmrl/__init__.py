@@ -30,7 +30,11 @@ _HOME = {
     ),
     "states": ("robot_states", "column_names"),
     "crowd": ("World", "reset", "crowd_velocities", "transition", "advance"),
-    "policies": ("ACTIONS", "SarlPolicy", "load_policy"),
+    "planner": ("Geodesics", "plan", "solvable"),
+    "actions": ("ACTIONS",),
+    "lookahead": ("SarlPolicy",),
+    "recovery": ("RecoveringPolicy",),
+    "policies": ("load_policy",),
     "episodes": ("Record", "play"),
     "evaluation": ("evaluate", "evaluation_record", "metrics", "wilson"),
 }

@@ -46,7 +46,7 @@ Environment = Annotated[
 
 
 @app.command(epilog="Example: sfmrl il --preset paper --seed 1")
-@settings_options("", "simulation", "reward", "imitation")
+@settings_options("", "simulation", "reward", "planner", "imitation")
 def il(
     variant: Variant = None,
     run: RunFolder = None,
@@ -78,7 +78,7 @@ def il(
 
 
 @app.command(epilog="Example: sfmrl rl --reward sfm --episodes 3000")
-@settings_options("", "simulation", "reward", "reinforcement")
+@settings_options("", "simulation", "reward", "planner", "reinforcement")
 def rl(
     variant: Variant = None,
     source: Annotated[
@@ -114,12 +114,15 @@ def rl(
     result = train(
         current, lambda progress, stop: reinforce(current, progress, stop, say, threads=workers, device=device)
     )
-    print_metrics(result, f"test of {current.folder}, environment {current.config.reinforcement.test_environment}")
+    title = f"{current.folder}, environment {current.config.reinforcement.test_environment}"
+    print_metrics(result, f"test of {title}, the network alone")
+    if "with_recovery" in result:
+        print_metrics(result["with_recovery"], f"test of {title}")
     say(f"done: {current.folder}; next: sfmrl eval, sfmrl ascii-render")
 
 
 @app.command("eval", epilog="Example: sfmrl eval orca --environment 2 --episodes 100 --csv orca.csv")
-@settings_options("simulation", "reward")
+@settings_options("simulation", "reward", "planner")
 def evaluate_command(
     policy: PolicyName = None,
     environment: Environment = None,
@@ -154,7 +157,7 @@ def evaluate_command(
         simulation=config.simulation,
         progress=show_progress(err),
     )
-    result = metrics(record)
+    result = metrics(record, chosen)
     if csv:
         csv.write_text(csv_text(episode_rows(record)))
     if as_json:
@@ -169,7 +172,7 @@ def evaluate_command(
 
 
 @app.command("ascii-render", epilog="Example: sfmrl ascii-render orca --environment 3 --episode 17")
-@settings_options("simulation", "reward")
+@settings_options("simulation", "reward", "planner")
 def ascii_render(
     policy: PolicyName = None,
     environment: Environment = None,

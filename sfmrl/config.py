@@ -114,6 +114,17 @@ class Reward(_Checked):
     discount_rate: float = knob(0.02, "sfm-discount: cost per second late")
 
 
+@dataclass(frozen=True)
+class Planner(_Checked):
+    """Recovery at play, and the grid on which ways around squares are measured."""
+
+    recover: bool = knob(False, "at play, a robot that is stuck is led around the squares, and all look out for traps")
+    stall_time: float = knob(2.0, "recover: after so long without progress the robot is stuck, s", least=0)
+    stall_distance: float = knob(0.25, "recover: progress is to shorten the way around squares by this, m", least=0)
+    resolution: float = knob(0.1, "way around squares: side of the grid's cells, m", least=0.02)
+    inflation: float = knob(0.1, "way around squares: nearer to a square than this it counts as longer, m", least=0)
+
+
 _OPTIMIZERS = ("sgd", "adam")
 _SCHEDULES = ("constant", "linear", "one-cycle")
 
@@ -178,13 +189,21 @@ class Config:
     value_prior: bool = knob(False, "write the value as 0.9^(goal distance - 0.3) (0.8 + network)")
     collision_ends: bool = knob(False, "when looking ahead, a collision has no value beyond its reward")
     avoid_traps: bool = knob(False, "pass over an action after which every action collides, where another does not")
+    shaping: str = knob(
+        "none",
+        "geodesic: learn what is left of the values beyond 0.9^(way around the squares)",
+        choices=("none", "geodesic"),
+    )
     simulation: Simulation = field(default_factory=Simulation)
     reward: Reward = field(default_factory=Reward)
+    planner: Planner = field(default_factory=Planner)
     imitation: Imitation = field(default_factory=Imitation)
     reinforcement: Reinforcement = field(default_factory=Reinforcement)
 
     def __post_init__(self) -> None:
         _check(self)
+        if self.shaping != "none" and self.value_prior:
+            raise ConfigError("shaping and value-prior both write the value around a guess; leave out one of them")
 
     def to_json(self) -> str:
         """The whole config as indented JSON."""

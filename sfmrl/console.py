@@ -53,6 +53,8 @@ def replay_command(policy: str | None, environment: str, seed: int, episode: int
 
 def print_metrics(result: dict[str, Any], title: str) -> None:
     """Metrics as a table: a row in all, and one for each environment."""
+    if "recovered" in result:
+        title += f", with recovery (stuck in {result['recovered']:.3f} of the episodes)"
     table = Table(title=Text(title), title_justify="left")
     for heading in ("", "success", "collision", "time-out", "nav. time", "total reward", "episodes"):
         table.add_column(heading, justify="right" if heading else "left")

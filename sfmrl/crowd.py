@@ -10,9 +10,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from sfmrl.config import CROWD_FORCE, Simulation
+from sfmrl.config import CROWD_FORCE, Planner, Simulation
 from sfmrl.geometry import closest_approach, direction, length, limit
 from sfmrl.orca import Edges, orca_velocities, polygon_edges
+from sfmrl.planner import Geodesics, plan
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenarios import Scenes
 from sfmrl.sfm import sfm_velocities
@@ -35,6 +36,7 @@ class World:
     edges: Edges  # the squares' outlines, for ORCA
     episode: np.ndarray  # (E,)
     simulation: Simulation
+    geodesics: Geodesics | None = None  # of all the scenes, for those who plan
 
     def __len__(self) -> int:
         return len(self.position)
@@ -51,12 +53,17 @@ class World:
 
     def take(self, rows: np.ndarray) -> "World":
         """The world of some of the episodes: an index array."""
-        kept = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name not in ("edges", "simulation")}
-        return World(**kept, edges=self.edges.take(rows), simulation=self.simulation)
+        whole = ("edges", "simulation", "geodesics")
+        kept = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name not in whole}
+        return World(**kept, edges=self.edges.take(rows), simulation=self.simulation, geodesics=self.geodesics)
+
+    def geodesic_distance(self, position: np.ndarray) -> np.ndarray:
+        """How far it is from positions (E, ..., 2) to the robot's goal around the squares, (E, ...) m."""
+        return self.geodesics.at(self.episode, position)
 
 
-def reset(scenes: Scenes, simulation: Simulation = Simulation()) -> World:
-    """The world in which all `scenes` stand at their starts, everybody at rest."""
+def reset(scenes: Scenes, simulation: Simulation = Simulation(), planner: Planner | None = None) -> World:
+    """The world in which all `scenes` stand at their starts, everybody at rest; with geodesics if `planner` asks."""
     velocity = np.where(np.isnan(scenes.start), np.nan, 0.0)
     return World(
         position=scenes.start,
@@ -69,6 +76,7 @@ def reset(scenes: Scenes, simulation: Simulation = Simulation()) -> World:
         edges=polygon_edges(scenes.polygons),
         episode=np.arange(len(scenes)),
         simulation=simulation,
+        geodesics=None if planner is None else plan(scenes, planner),
     )
 
 

@@ -7,8 +7,10 @@ import numpy as np
 
 from sfmrl.config import Config, ConfigError, Reward, Simulation
 from sfmrl.episodes import Record, play_episodes
-from sfmrl.policies import Policy, find_policy
+from sfmrl.lookahead import Policy
+from sfmrl.policies import find_policy
 from sfmrl.progress import Progress, no_progress
+from sfmrl.recovery import RecoveringPolicy
 from sfmrl.scenarios import sample_scenes
 
 RATES = ("success", "collision", "timeout")
@@ -16,7 +18,8 @@ RATES = ("success", "collision", "timeout")
 
 def evaluate(policy: str | Policy, **how: Any) -> dict[str, Any]:
     """The metrics (see `metrics`) of a policy over test episodes; arguments as for `evaluation_record`."""
-    return metrics(evaluation_record(policy, **how))
+    policy = find_policy(policy)
+    return metrics(evaluation_record(policy, **how), policy)
 
 
 def evaluation_record(
@@ -48,14 +51,17 @@ def evaluation_record(
         return play_episodes(scenes, chosen, settings, simulation, discount=own.discount, progress=told)
 
 
-def metrics(record: Record) -> dict[str, Any]:
+def metrics(record: Record, policy: Policy | None = None) -> dict[str, Any]:
     """The paper's metrics of a record, and the same by environment where there are several.
 
     `success`, `collision`, `timeout` are rates, each with its 95 % Wilson interval under `intervals`;
     `navigation_time` is the successes' mean time in s (None without any); `total_reward` the mean discounted return.
-    `failures` are the episodes that did not succeed.
+    `failures` are the episodes that did not succeed. Of a `policy` with recovery that has just played them, `recovered`
+    is the rate of episodes in which it was stuck.
     """
     result = _summary(record)
+    if isinstance(policy, RecoveringPolicy):
+        result["recovered"] = float(policy.helped[: len(record.steps)].mean())
     names = np.unique(record.scenes.environment)
     if len(names) > 1:
         result["environments"] = {str(n): _summary(record.take(record.scenes.environment == n)) for n in names}

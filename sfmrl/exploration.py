@@ -18,12 +18,13 @@ from threading import Thread
 import numpy as np
 import torch
 
+from sfmrl.actions import ACTIONS
 from sfmrl.config import Config, Reinforcement
 from sfmrl.crowd import World
-from sfmrl.episodes import Record, play_episodes, returns_of
+from sfmrl.episodes import Record, play_episodes, potentials, returns_of
 from sfmrl.learner import Learner
+from sfmrl.lookahead import SarlPolicy, step_discount
 from sfmrl.network import ValueNetwork, new_network
-from sfmrl.policies import ACTIONS, Policy, SarlPolicy, step_discount
 from sfmrl.scenarios import generator, sample_scenes
 
 Explored = tuple[Record, np.ndarray]
@@ -101,7 +102,7 @@ def _explore_aside(weights: np.ndarray, config: Config, threads: int, episodes: 
     return explore(policy, config, episodes)
 
 
-def explore(policy: Policy, config: Config, episodes: Sequence[int]) -> Explored:
+def explore(policy: SarlPolicy, config: Config, episodes: Sequence[int]) -> Explored:
     """Play training episodes with epsilon-greedy actions; their record, and which steps (E, T) were random."""
     settings = config.reinforcement
     scenes = sample_scenes(settings.environment, episodes, config.seed, phase="train")
@@ -118,7 +119,9 @@ def explore(policy: Policy, config: Config, episodes: Sequence[int]) -> Explored
             action[greedy] = policy(world.take(greedy), crowd_velocity[greedy])
         return action
 
-    record = play_episodes(scenes, epsilon_greedy, config.reward, config.simulation, discount=config.discount)
+    record = play_episodes(
+        scenes, epsilon_greedy, config.reward, config.simulation, discount=config.discount, planner=policy.planner
+    )
     return record, random_steps[:, : record.reward.shape[1]]
 
 
@@ -139,8 +142,9 @@ def remember(learner: Learner, record: Record, random_steps: np.ndarray) -> None
     # A state's value is asked of the target network where the step before it bootstraps from it.
     asked = random_steps & played if settings.targets == "returns" else played.copy()
     asked[:, 0] = False
+    base = potentials(record, config)
     guess = np.full(played.shape, np.nan)
     if asked.any():
-        guess[asked] = learner.target.evaluate(states[asked[played]])[0]
+        guess[asked] = learner.target.evaluate(states[asked[played]])[0] + base[asked[played]]
     step = step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation)
-    learner.memory.push(states, returns_of(record.reward, step, guess)[played])
+    learner.memory.push(states, returns_of(record.reward, step, guess)[played] - base)

@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from sfmrl.config import Config, ConfigError, Simulation
-from sfmrl.episodes import Record, play_episodes, returns_of, rewards_of
+from sfmrl.episodes import Record, play_episodes, potentials, returns_of, rewards_of
 from sfmrl.files import read_checked, write_atomically
 from sfmrl.learning import Fit, torch_threads
+from sfmrl.lookahead import step_discount
 from sfmrl.memory import Memory
 from sfmrl.network import ValueNetwork, new_network
-from sfmrl.policies import WEIGHTS, orca_policy, step_discount
+from sfmrl.policies import WEIGHTS, orca_policy
 from sfmrl.progress import Progress
 from sfmrl.rewards import Transition, reward_terms
 from sfmrl.runs import Run
@@ -78,7 +79,7 @@ def fill_memory(memory: Memory, record: Record, config: Config) -> None:
     returns = returns_of(rewards, step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation))
     if not len(record.steps):
         raise ConfigError("every demonstration ended in a time-out, and those are not learnt from; allow more time")
-    memory.push(record.states(config.forces), returns[record.played])
+    memory.push(record.states(config.forces), returns[record.played] - potentials(record, config))
 
 
 def new_fit(config: Config, device: str) -> Fit:

@@ -16,6 +16,7 @@ TITLES = {
     "": "Task",
     "simulation": "Simulation",
     "reward": "Reward",
+    "planner": "Recovery",
     "imitation": "Schedule",
     "reinforcement": "Schedule",
 }

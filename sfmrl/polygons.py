@@ -31,6 +31,10 @@ class Edges:
         """The edges of some of the episodes: an index array, a mask or a slice."""
         return Edges(self.values.take(np.arange(len(self))[rows], axis=2))
 
+    def none(self) -> "Edges":
+        """The same episodes without an edge."""
+        return Edges(self.values[:, :0])
+
     @staticmethod
     def concatenate(parts: Sequence["Edges"]) -> "Edges":
         """The episodes of all parts, one after the other."""

@@ -17,9 +17,11 @@ from sfmrl.files import DamagedFile, read_sums
 from sfmrl.imitation import DEMONSTRATIONS, fill_memory, fit_memory, load_demonstrations, make_memory, new_fit
 from sfmrl.learner import Learner
 from sfmrl.learning import torch_threads
+from sfmrl.lookahead import Policy, SarlPolicy
 from sfmrl.network import new_network
-from sfmrl.policies import WEIGHTS, SarlPolicy
+from sfmrl.policies import WEIGHTS
 from sfmrl.progress import Progress
+from sfmrl.recovery import with_recovery
 from sfmrl.runs import Run, create_run, open_run, run_folders
 from sfmrl.states import column_names
 from sfmrl.stopping import Interrupted, StopSignal
@@ -47,11 +49,11 @@ def reinforce(
     learner = begin(run, progress, stop, say, threads, device)
     run.write_table("metrics.csv", learner.rows)
     run.write_table("validation.csv", learner.validations)
-    tested = SarlPolicy(learner.tested, config, threads)
+    alone = SarlPolicy(learner.tested, config, threads)
 
-    def test(phase: str, episodes: int) -> dict[str, Any]:
+    def test(phase: str, episodes: int, policy: Policy = alone) -> dict[str, Any]:
         return evaluate(
-            tested,
+            policy,
             environment=settings.test_environment,
             episodes=episodes,
             seed=EVALUATION_SEED,
@@ -74,6 +76,8 @@ def reinforce(
             train_stretch(run, learner, explorer, progress, stop, 1 if aside else threads)
     run.save_checkpoint(learner.state_dict())
     result = test("test", settings.test_episodes)
+    if config.planner.recover:
+        result["with_recovery"] = test("test", settings.test_episodes, with_recovery(alone, config.planner))
     run.write_json("result.json", result)
     save_weights(learner.tested, config, run.folder / WEIGHTS)
     return result
@@ -199,7 +203,7 @@ def same_task(one: Config, other: Config) -> bool:
     """Whether a network fitted under one config is what the other would have fitted to the same demonstrations."""
     return all(
         getattr(one, name) == getattr(other, name)
-        for name in ("forces", "precision", "discount", "value_prior", "reward", "imitation")
+        for name in ("forces", "precision", "discount", "value_prior", "shaping", "planner", "reward", "imitation")
     )
 
 

@@ -45,7 +45,7 @@ def use_threads(threads: int | None) -> int:
     """How many threads to work on; torch itself is kept to one in each, but where learning lets it use more."""
     import torch
 
-    from sfmrl.policies import available_cores
+    from sfmrl.lookahead import available_cores
 
     torch.set_num_threads(1)
     return threads or available_cores()
@@ -75,10 +75,12 @@ def train(run: Any, work: Callable[..., Any]) -> Any:
 def choose(policy: str | None, settings: dict[str, Any], threads: int | None, device: str) -> tuple[Any, str, Config]:
     """The policy to play, its name, and its config with the options that were given."""
     from sfmrl.policies import POLICIES, load_policy
+    from sfmrl.recovery import with_recovery
 
     name = policy or newest()
     chosen = load_policy(name) if name in POLICIES else load_policy(name, use_threads(threads), usable(device))
-    return chosen, name, override(getattr(chosen, "config", Config()), settings)
+    config = override(getattr(chosen, "config", Config()), settings)
+    return with_recovery(chosen, config.planner), name, config
 
 
 def newest() -> str:

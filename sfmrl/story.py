@@ -11,7 +11,8 @@ import numpy as np
 from sfmrl.config import Config, Reward
 from sfmrl.episodes import Record
 from sfmrl.geometry import length
-from sfmrl.policies import Lookahead
+from sfmrl.lookahead import Lookahead
+from sfmrl.recovery import RecoveringPolicy
 from sfmrl.rewards import RUNNING, reward_terms, total
 from sfmrl.sfm import repulsive_forces
 
@@ -44,6 +45,7 @@ class Story:
     close: tuple[tuple[int, int], ...]  # first and last moment of every stretch at which the robot was too close
     attention: np.ndarray | None  # (T + 1, K)
     look: Lookahead | None  # of T steps
+    stuck: np.ndarray  # (T,) bool, the steps in which recovery chose
 
     @property
     def last(self) -> int:
@@ -90,8 +92,11 @@ def tell(record: Record, row: int, policy=None, reward: Reward | None = None, di
     distance = Reward.discomfort_distance if reward is None else reward.discomfort_distance
     near = np.concatenate(([False], (step.outcome == RUNNING) & (step.separation < distance)))
     attention = look = None
+    stuck = np.zeros(steps, dtype=bool)
+    if isinstance(policy, RecoveringPolicy):
+        stuck = policy.watch_all(one.worlds(policy.planner))
     if hasattr(policy, "lookahead") and offset.shape[1]:
-        worlds = one.worlds()
+        worlds = one.worlds(getattr(policy, "planner", None))
         end = replace(worlds.take(np.array([steps - 1])), position=position[-1:], velocity=velocity[-1:])
         look = policy.lookahead(worlds, velocity[1:])
         attention = np.concatenate((policy.attention(worlds), policy.attention(end)))
@@ -115,6 +120,7 @@ def tell(record: Record, row: int, policy=None, reward: Reward | None = None, di
         close=_stretches(near),
         attention=attention,
         look=look,
+        stuck=stuck,
     )
 
 

@@ -18,6 +18,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "value_prior": True,
         "collision_ends": True,
         "avoid_traps": True,
+        "planner": {"recover": True},
         "imitation": {
             "episodes": 1000,
             "epochs": 6,
@@ -62,7 +63,10 @@ def make_config(preset: str = "quick", variant: str = "sarl", **changes: Any) ->
     for kind, name, table in (("preset", preset, PRESETS), ("variant", variant, VARIANTS)):
         if name not in table:
             raise ConfigError(f"there is no {kind} {name!r}; choose {', '.join(table)}{suggest(name, table)}")
-    return override(override(override(Config(), PRESETS[preset]), VARIANTS[variant]), changes)
+    named = override(override(Config(), PRESETS[preset]), VARIANTS[variant])
+    if changes.get("shaping", "none") != "none":
+        changes = {"value_prior": False} | changes  # the potential takes its place
+    return override(named, changes)
 
 
 def variant_name(config: Config) -> str:

@@ -19,6 +19,7 @@ import torch
 from rich.console import Console
 
 from sfmrl import crowd, episodes
+from sfmrl.actions import ACTIONS
 from sfmrl.config import Config, Reward, Simulation
 from sfmrl.crowd import CROWDS
 from sfmrl.episodes import Record, play_episodes
@@ -27,9 +28,10 @@ from sfmrl.exploration import Explorer, remember
 from sfmrl.imitation import demonstrate, fill_memory, fit_memory, imitate, make_memory, new_fit
 from sfmrl.learner import Learner
 from sfmrl.learning import OPTIMIZERS, learn, torch_threads
+from sfmrl.lookahead import SarlPolicy, available_cores
 from sfmrl.network import ValueNetwork, resolved
 from sfmrl.placement import BARRIER
-from sfmrl.policies import ACTIONS, SarlPolicy, available_cores, orca_policy
+from sfmrl.policies import orca_policy
 from sfmrl.progress import no_progress
 from sfmrl.reinforcement import reinforce, start_run
 from sfmrl.runs import create_run

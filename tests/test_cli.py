@@ -55,16 +55,21 @@ def test_from_imitation_to_replay(sfmrl: Call, tmp_path: Path):
     result = json.loads((tmp_path / "runs/rl-sarl-sfm2-seed0/result.json").read_text())
     assert result["episodes"] == 4
 
+    recovered = result.pop("with_recovery")
     again = sfmrl("eval", "--episodes", "4", "--json", "--csv", "out.csv")  # the newest run, as it was tested
     assert again.returncode == 0, again.stderr
     assert "policy: runs/rl-sarl-sfm2-seed0" in again.stderr
     found = json.loads(again.stdout)
-    assert {name: found[name] for name in result} == result
+    assert {name: found[name] for name in recovered} == recovered
+    assert 0 <= recovered["recovered"] <= 1
+    alone = json.loads(sfmrl("eval", "--episodes", "4", "--json", "--no-recover").stdout)
+    assert {name: alone[name] for name in result} == result
+    assert "recovered" not in alone
     assert (found["policy"], found["environment"], found["seed"]) == ("runs/rl-sarl-sfm2-seed0", "table1", 0)
     with open(tmp_path / "out.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["episode"] for row in rows] == ["0", "1", "2", "3"]
-    assert sum(row["outcome"] == "success" for row in rows) == 4 * result["success"]
+    assert sum(row["outcome"] == "success" for row in rows) == 4 * recovered["success"]
 
     refused = sfmrl("eval", "--episodes", "4", "--csv", "out.csv")
     assert_one_line_error(refused, "out.csv", "--overwrite")

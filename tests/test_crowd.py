@@ -9,10 +9,11 @@ from conftest import DATA
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sfmrl.actions import ACTIONS
 from sfmrl.config import Reward, Simulation
 from sfmrl.crowd import World, advance, crowd_velocities, reset, transition
 from sfmrl.episodes import Record, play, play_episodes
-from sfmrl.policies import ACTIONS, orca_policy
+from sfmrl.policies import orca_policy
 from sfmrl.rewards import COLLISION, OUTCOMES, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenarios import Scenes, sample_scenes
 

@@ -9,11 +9,13 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sfmrl.actions import ACTIONS
 from sfmrl.config import Config, ConfigError, Reward, Simulation
 from sfmrl.crowd import reset
 from sfmrl.episodes import Record, play, play_episodes, returns_of
+from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
-from sfmrl.policies import ACTIONS, SarlPolicy, load_policy
+from sfmrl.policies import load_policy
 from sfmrl.scenarios import Scenes, sample_scenes
 from sfmrl.states import robot_states
 

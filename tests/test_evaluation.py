@@ -12,8 +12,8 @@ from sfmrl.config import Reward, Simulation
 from sfmrl.episodes import Record
 from sfmrl.evaluation import episode_rows, evaluate, evaluation_record, metrics, wilson
 from sfmrl.files import csv_text
+from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
-from sfmrl.policies import SarlPolicy
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenarios import Scenes
 from sfmrl.variants import make_config

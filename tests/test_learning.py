@@ -17,9 +17,9 @@ from sfmrl.exploration import epsilon, explore, remember
 from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
 from sfmrl.learner import Learner, follow
 from sfmrl.learning import OPTIMIZERS, SCHEDULES, Fit, generator_state, learn, set_generator_state
+from sfmrl.lookahead import SarlPolicy
 from sfmrl.memory import Memory
 from sfmrl.network import ValueNetwork
-from sfmrl.policies import SarlPolicy
 from sfmrl.progress import no_progress
 from sfmrl.reinforcement import due
 from sfmrl.scenarios import sample_scenes

@@ -3,10 +3,11 @@
 import numpy as np
 from conftest import DATA
 
+from sfmrl.actions import ACTIONS, best_untrapped
 from sfmrl.config import Config
 from sfmrl.crowd import World, advance, crowd_velocities, reset, transition
+from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
-from sfmrl.policies import ACTIONS, SarlPolicy, best_untrapped
 from sfmrl.rewards import COLLISION, RUNNING
 from sfmrl.scenarios import Scenes
 

@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from rich.console import Console
 from rich.text import Text
 
+from sfmrl.actions import ACTIONS
 from sfmrl.canvas import Canvas, View, fit_view
 from sfmrl.config import Reward, Simulation
 from sfmrl.episodes import Record, play
+from sfmrl.lookahead import Lookahead, SarlPolicy
 from sfmrl.panel import SHADES, action_disc
-from sfmrl.policies import ACTIONS, Lookahead, SarlPolicy
 from sfmrl.replay import make_frames, play_live, scene_picture, strip
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenarios import Scenes, sample_scenes

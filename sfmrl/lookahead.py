@@ -1,0 +1,146 @@
+"""SARL's choice: look one step ahead with every action, and take the one that leads to most reward and value.
+
+The people's next states come from the simulator, as in CRI: they do not depend on the robot's action, so one step of
+the crowd serves all 81.
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from sfmrl.actions import ACTIONS, best_untrapped
+from sfmrl.config import Config, Simulation
+from sfmrl.crowd import World, transition
+from sfmrl.rewards import COLLISION, RUNNING, reward_terms, total
+from sfmrl.states import robot_states
+
+BLOCK = 16  # episodes at most that are looked at together: few enough for their layers to stay in the cache
+
+# (world, crowd_velocity) -> the robot's actions (E, 2) in m/s; `crowd_velocity` (E, N, 2) is what the people are about
+# to do.
+Policy = Callable[[World, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Lookahead:
+    """What SARL weighs up: the 81 actions (E, A, 2) in m/s, their values (E, A), and the best one's index (E,)."""
+
+    actions: np.ndarray
+    values: np.ndarray
+    best: np.ndarray
+
+
+class SarlPolicy:
+    """Take the action with the highest reward plus discounted value of where it leads; a Policy.
+
+    `network` is a ValueNetwork, `config` says with which reward, discount and state it looks ahead. Blocks of episodes
+    are spread over `threads` threads, each with one of torch's own; what shares a block changes no number.
+    """
+
+    batch = 32  # episodes side by side: the network is what takes the time, and more would only end later
+
+    def __init__(self, network, config: Config, threads: int = 1) -> None:
+        self.network, self.config = network, config
+        self.threads = threads
+        self.trap_steps = int(config.avoid_traps)  # how far ahead it looks for places that it could not leave
+        self.planner = config.planner if config.shaping == "geodesic" else None
+        self._terms = reward_terms(config.reward)
+        self._pool = worker_threads(threads)
+
+    def __call__(self, world: World, crowd_velocity: np.ndarray) -> np.ndarray:
+        look = self.lookahead(world, crowd_velocity)
+        return look.actions[np.arange(len(world)), look.best]
+
+    def lookahead(self, world: World, crowd_velocity: np.ndarray) -> Lookahead:
+        """Values of all actions in every episode of the world."""
+        actions = ACTIONS * world.v_pref[:, 0, None, None]  # (E, A, 2)
+        size = max(1, min(BLOCK, -(-len(world) // self.threads)))
+        blocks = [slice(e, e + size) for e in range(0, len(world), size)] or [slice(0)]
+        parts = self._pool.map(lambda rows: self._values(world, crowd_velocity, actions, rows), blocks)
+        values, outcome = (np.concatenate(part) for part in zip(*parts, strict=True))
+        if self.trap_steps:
+            best = best_untrapped(world, crowd_velocity, actions, values, outcome, self.trap_steps)
+        else:
+            best = values.argmax(1)
+        return Lookahead(actions, values, best)
+
+    def attention(self, world: World) -> np.ndarray:
+        """The share of attention each element gets in the world as it is, (E, K)."""
+        return self.network.evaluate(world_states(world, self.config.forces))[1]
+
+    def _values(
+        self, world: World, crowd_velocity: np.ndarray, actions: np.ndarray, rows: slice
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The values and outcomes (e, A) of all actions in some of the episodes."""
+        world, crowd_velocity, action = world.take(np.arange(len(world))[rows]), crowd_velocity[rows], actions[rows]
+        step = transition(world, action)  # (e, A)
+        reward = total(self._terms(step))
+        dt = world.simulation.time_step
+        states = robot_states(
+            world.position[:, :1] + action * dt,
+            action,
+            world.goal[:, :1],
+            world.radius[:, :1],
+            world.v_pref[:, :1],
+            (world.position + crowd_velocity * dt)[:, None, 1:],
+            crowd_velocity[:, None, 1:],
+            world.radius[:, None, 1:],
+            forces=self.config.forces,
+        )  # (e, A, K, F)
+        ahead = self.network.evaluate(states.reshape(-1, *states.shape[2:]))[0].reshape(reward.shape)
+        if self.config.collision_ends:
+            ahead = np.where(step.outcome == COLLISION, 0.0, ahead)
+        if self.planner:
+            going_on = step.outcome == RUNNING
+            ahead = ahead + np.where(going_on, potential(world, world.position[:, :1] + action * dt, self.config), 0.0)
+        return reward + step_discount(self.config.discount, world.v_pref[:, :1], world.simulation) * ahead, step.outcome
+
+
+def world_states(world: World, forces: bool) -> np.ndarray:
+    """Robot-centred states of a world, (E, K, F)."""
+    return robot_states(
+        world.position[:, 0],
+        world.velocity[:, 0],
+        world.goal[:, 0],
+        world.radius[:, 0],
+        world.v_pref[:, 0],
+        world.position[:, 1:],
+        world.velocity[:, 1:],
+        world.radius[:, 1:],
+        forces=forces,
+    )
+
+
+def potential(world: World, position: np.ndarray, config: Config) -> np.ndarray:
+    """The geodesic shaping's potential at places (E, ..., 2) of the robot, (E, ...): gamma^(m to go), 1 at the goal.
+
+    A shaped reward is r + gamma^(dt v_pref) potential(next) - potential(now), with 0 where an episode has ended (Ng,
+    Harada and Russell, 1999). Its values are those of r less the potential, so that is how it is learnt.
+    """
+    many = (slice(None),) + (None,) * (position.ndim - 2)
+    left = world.geodesic_distance(position) - world.radius[:, 0][many]
+    return config.discount ** np.maximum(left, 0.0)
+
+
+def step_discount(discount: float, v_pref: np.ndarray, simulation: Simulation) -> np.ndarray:
+    """CRI's discount of one step, gamma^(dt v_pref), in the shape of the robot's `v_pref` (m/s)."""
+    return discount ** (simulation.time_step * v_pref)
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def worker_threads(count: int) -> ThreadPoolExecutor:
+    """Threads to compute on, with torch kept to the one thread in each that it is."""
+    import torch
+
+    def prepare() -> None:
+        torch.get_num_threads()  # makes torch settle on a number for this thread, which it would else do later
+        torch.set_num_threads(1)
+
+    return ThreadPoolExecutor(count, initializer=prepare)

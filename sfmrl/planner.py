@@ -1,0 +1,154 @@
+"""How far it is to the goal around the squares: geodesic distances on a grid, for many scenes at once.
+
+A cell's distance is the length of the shortest path over the grid, whose steps go in 24 directions, so that none is
+more than 1.4 % too long. Sweeps over the rows and columns, to and fro, find it; they end when nothing changes any more
+(the order of fast sweeping: Zhao, 2005). Cells in which the robot would touch a square count as very long, those within
+`inflation` of that as longer, so every place has a distance, also one where the robot had better not be. People are
+left out: they will have moved on.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sfmrl.config import Planner
+from sfmrl.scenarios import Scenes
+
+BLOCK = 64  # scenes at a time: few enough for their grids to stay in the cache
+MARGIN = 1.0  # m that a grid reaches beyond the robot's start, its goal and the squares
+# The steps that lead aside too, in cells ahead and aside, by their length.
+STEPS = (((1, 1),), ((1, 2), (2, 1)), ((1, 3), (3, 1)))
+PAD = 3  # cells that a step leads aside at most
+NARROW = 10.0  # what a metre counts for where the robot would come closer to a square than `inflation`
+SOLID = 1e4  # ... and where it would touch one
+UNREACHABLE = 500.0  # m: longer than any path, shorter than a cell of a square
+
+
+@dataclass(frozen=True)
+class Geodesics:
+    """Distances to the goal over the grids of E scenes, (E, Y, X) float32 in m, +inf beyond a scene's own grid.
+
+    `corner` (E, 2) is where the first cell's centre is, in m; `size` (E, 2) how many cells a grid has in x and y.
+    """
+
+    values: np.ndarray
+    corner: np.ndarray
+    size: np.ndarray
+    resolution: float
+
+    def at(self, scene: np.ndarray, position: np.ndarray) -> np.ndarray:
+        """Distances in m from positions (e, ..., 2), each in the scene (e,) named for it: (e, ...).
+
+        Linear between the centres of four free cells; elsewhere straight to the one from which it is shortest. From
+        outside a grid the way leads straight to its edge first.
+        """
+        many = (slice(None),) + (None,) * (position.ndim - 2)
+        place = (position - self.corner[scene][*many, :]) / self.resolution
+        inside = np.clip(place, 0.0, (self.size[scene] - 1)[*many, :])
+        cell = np.minimum(inside.astype(int), (self.size[scene] - 2)[*many, :])
+        share, beyond = inside - cell, place - inside
+        x, y, scene = cell[..., 0], cell[..., 1], scene[many]
+        mixed, shortest, least, most = 0.0, np.inf, np.inf, 0.0
+        for dx in (0, 1):
+            for dy in (0, 1):
+                value = self.values[scene, y + dy, x + dx].astype(float)
+                away_x, away_y = np.abs(share[..., 0] - dx), np.abs(share[..., 1] - dy)
+                mixed = mixed + value * (1 - away_x) * (1 - away_y)
+                straight = np.sqrt(away_x * away_x + away_y * away_y) * self.resolution
+                shortest = np.minimum(shortest, value + straight)
+                least, most = np.minimum(least, value), np.maximum(most, value)
+        free = most - least < 1.5 * self.resolution  # a diagonal step is the longest between free cells
+        outside = np.sqrt(beyond[..., 0] * beyond[..., 0] + beyond[..., 1] * beyond[..., 1]) * self.resolution
+        return np.where(free, mixed, shortest) + outside
+
+
+def plan(scenes: Scenes, planner: Planner) -> Geodesics:
+    """The distances to the robot's goal in every scene, around its squares."""
+    blocks = [_plan_block(scenes.take(slice(e, e + BLOCK)), planner) for e in range(0, len(scenes), BLOCK)]
+    rows, columns = (max(grid.shape[axis] for grid, _, _ in blocks) for axis in (1, 2))
+    values = np.full((len(scenes), rows, columns), np.inf, dtype=np.float32)
+    for k, (grid, _, _) in enumerate(blocks):
+        values[k * BLOCK : k * BLOCK + len(grid), : grid.shape[1], : grid.shape[2]] = grid
+    corner, size = (np.concatenate([block[part] for block in blocks]) for part in (1, 2))
+    return Geodesics(values, corner, size, planner.resolution)
+
+
+def solvable(scenes: Scenes, planner: Planner = Planner()) -> np.ndarray:
+    """Whether a path leads from the robot's start to its goal without touching a square, (E,)."""
+    return plan(scenes, planner).at(np.arange(len(scenes)), scenes.start[:, 0]) < UNREACHABLE
+
+
+def _plan_block(scenes: Scenes, planner: Planner) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distances (E, Y, X), corners (E, 2) and sizes (E, 2) of a few scenes' grids."""
+    robot, square = scenes.radius[:, :1], scenes.square
+    places = np.where(square[..., None], scenes.start, np.nan)
+    places[:, 0] = scenes.start[:, 0]
+    places = np.concatenate((places, scenes.goal[:, :1]), axis=1)
+    corner = np.floor((np.nanmin(places, axis=1) - MARGIN) / planner.resolution) * planner.resolution
+    size = np.ceil((np.nanmax(places, axis=1) + MARGIN - corner) / planner.resolution).astype(int) + 1
+    columns, rows = size.max(axis=0)
+    x = corner[:, 0] + planner.resolution * np.arange(columns)[:, None]  # (X, E)
+    y = corner[:, 1] + planner.resolution * np.arange(rows)[:, None]  # (Y, E)
+
+    room = np.full((rows, len(scenes), columns), np.inf, dtype=np.float32)  # m from the robot's edge to a square's disc
+    for k in np.flatnonzero(square.any(0)):
+        dx = np.where(square[:, k], x - scenes.start[:, k, 0], np.inf).T.astype(np.float32)
+        dy = np.where(square[:, k], y - scenes.start[:, k, 1], np.inf).astype(np.float32)
+        apart = np.sqrt((dx * dx)[None] + (dy * dy)[..., None])
+        np.minimum(room, apart - (scenes.radius[:, k] + robot[:, 0]).astype(np.float32)[:, None], out=room)
+    cost = np.where(room < 0, SOLID, np.where(room < planner.inflation, NARROW, 1.0)).astype(np.float32)
+    cost[(np.arange(rows)[:, None] >= size[:, 1])] = np.inf
+    cost[np.broadcast_to((np.arange(columns) >= size[:, :1])[None], cost.shape)] = np.inf
+
+    cost *= np.float32(planner.resolution)
+    far = np.full_like(cost, np.inf)
+    episode = np.arange(len(scenes))
+    goal = (scenes.goal[:, 0] - corner) / planner.resolution
+    for cell in (goal.astype(int) + np.array(shift) for shift in ((0, 0), (0, 1), (1, 0), (1, 1))):
+        far[cell[:, 1], episode, cell[:, 0]] = planner.resolution * np.sqrt(((cell - goal) ** 2).sum(1))
+    return np.ascontiguousarray(_shortest(far, cost).transpose(1, 0, 2)), corner, size
+
+
+def _shortest(far: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """Path lengths (Y, E, X) from the cells where `far` is finite; a step counts by `cost` of the cell it ends on."""
+    turned = _widened(cost.transpose(2, 1, 0))
+    cost = _widened(cost)
+    while True:
+        before = far
+        far = _sweep(far, cost)
+        far = _sweep(far.transpose(2, 1, 0), turned).transpose(2, 1, 0)
+        if np.array_equal(far, before):
+            return far
+
+
+def _widened(grid: np.ndarray) -> np.ndarray:
+    """A grid (Y, E, X) with its rows end to end, before each and behind the last cells of +inf that no step passes."""
+    rows, scenes, columns = grid.shape
+    wide = np.full((rows, scenes + 1, PAD + columns), np.inf, dtype=np.float32)
+    wide[:, :scenes, PAD:] = grid
+    return wide.reshape(rows, -1)
+
+
+def _sweep(far: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """`far` (Y, E, X), shortened by what steps from earlier rows can do, upwards and then downwards."""
+    rows, scenes, columns = far.shape
+    wide = _widened(far)
+    length, nearest = np.empty((2, wide.shape[1]), dtype=np.float32)
+    for order in (range(1, rows), range(rows - 2, -1, -1)):
+        for row in order:
+            here = wide[row]
+            np.add(wide[row - order.step], cost[row], out=length)
+            np.minimum(here, length, out=here)
+            for steps in STEPS:
+                nearest.fill(np.inf)
+                for back, aside in steps:
+                    start = row - back * order.step
+                    if 0 <= start < rows:
+                        inner = nearest[aside:-aside]
+                        np.minimum(inner, wide[start, 2 * aside :], out=inner)
+                        np.minimum(inner, wide[start, : -2 * aside], out=inner)
+                np.multiply(cost[row], np.float32(math.hypot(*steps[0])), out=length)
+                np.add(length, nearest, out=length)
+                np.minimum(here, length, out=here)
+    return wide.reshape(rows, scenes + 1, PAD + columns)[:, :scenes, PAD:]
