@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from sfmrl.config import Config, ConfigError
-from sfmrl.console import err, out, print_metrics, replay_command, say, say_result
+from sfmrl.console import err, out, print_metrics, print_sweep, replay_command, say, say_result
 from sfmrl.files import DamagedFile, csv_text
 from sfmrl.options import settings_options
 from sfmrl.session import choose, new_config, reopen, train, usable, use_threads
@@ -128,8 +128,15 @@ def evaluate_command(
     environment: Environment = None,
     episodes: Annotated[int, option("test episodes (default 500)", min=1)] = 500,
     seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
+    sweep: Annotated[
+        list[str] | None,
+        option(
+            "vary one thing, and print a row a value: humans=0:20:5, v_pref=0.5:1.5:0.25, radius_noise=0:0.1:0.05, "
+            "crowd=orca,sfm, robot_visible=true,false; can be given several times"
+        ),
+    ] = None,
     as_json: Annotated[bool, option("print JSON", "--json")] = False,
-    csv: Annotated[Path | None, option("write a line an episode to this file")] = None,
+    csv: Annotated[Path | None, option("write a line an episode, or a value of a sweep, to this file")] = None,
     overwrite: Overwrite = False,
     threads: Threads = None,
     device: Device = "cpu",
@@ -137,9 +144,11 @@ def evaluate_command(
     settings: dict[str, Any],
 ) -> None:
     """Test a policy: success, collisions, time-outs, navigation time, total reward."""
-    from sfmrl.evaluation import episode_rows, evaluation_record, metrics
+    from sfmrl.evaluation import episode_rows, evaluation_record, metrics, sweep_rows
     from sfmrl.progress import show_progress
+    from sfmrl.sweeps import parse_sweep
 
+    sweeps = [parse_sweep(text) for text in sweep or []]
     if csv and csv.is_dir():
         raise ConfigError(f"--csv {csv} is a folder; name a file")
     if csv and csv.exists() and not overwrite:
@@ -148,27 +157,34 @@ def evaluate_command(
         raise ConfigError(f"there is no folder {csv.parent} for --csv {csv.name}")
     chosen, name, config = choose(policy, settings, threads, device)
     environment = config.reinforcement.test_environment if environment is None else environment
-    record = evaluation_record(
-        chosen,
-        environment=environment,
-        episodes=episodes,
-        seed=seed,
-        reward=config.reward,
-        simulation=config.simulation,
-        progress=show_progress(err),
-    )
+    how = {"environment": environment, "episodes": episodes, "seed": seed}
+    how |= {"reward": config.reward, "simulation": config.simulation, "progress": show_progress(err)}
+    title = f"{name}, environment {environment}, {episodes} episodes, seed {seed}"
+    if sweeps:
+        rows = sweep_rows(chosen, sweeps, **how)
+        if csv:
+            csv.write_text(csv_text(rows))
+        if as_json:
+            say_result(json.dumps({"policy": name, "environment": environment, "seed": seed, "rows": rows}, indent=2))
+        else:
+            print_sweep(rows, title)
+        return
+    record = evaluation_record(chosen, **how)
     result = metrics(record, chosen)
     if csv:
         csv.write_text(csv_text(episode_rows(record)))
     if as_json:
         say_result(json.dumps({"policy": name, "environment": environment, "seed": seed} | result, indent=2))
         return
-    print_metrics(result, f"{name}, environment {environment}, {episodes} episodes, seed {seed}")
+    print_metrics(result, title)
     if result["failures"]:
         failed = [failure["episode"] for failure in result["failures"]]
         listed = ", ".join(map(str, failed[:12])) + (", ..." if len(failed) > 12 else "")
         see = replay_command(policy, environment, seed, failed[0], settings)
         say(f"{len(failed)} episodes ({listed}) failed; see one: {see}")
+        no_way = [str(failure["episode"]) for failure in result["failures"] if not failure["solvable"]]
+        if no_way:
+            say(f"unsolvable, the squares leave no way to the goal: {', '.join(no_way[:12])}")
 
 
 @app.command("ascii-render", epilog="Example: sfmrl ascii-render orca --environment 3 --episode 17")

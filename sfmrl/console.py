@@ -6,6 +6,7 @@ import sys
 from typing import Any
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -59,8 +60,45 @@ def print_metrics(result: dict[str, Any], title: str) -> None:
     for heading in ("", "success", "collision", "time-out", "nav. time", "total reward", "episodes"):
         table.add_column(heading, justify="right" if heading else "left")
     rows = {"all": result, **{f"env. {name}": row for name, row in result.get("environments", {}).items()}}
+    if len(rows) > 7:  # as of maps, whose names are longer, too
+        _print_many({name.removeprefix("env. map-"): row for name, row in rows.items()}, "", title)
+        return
     for name, row in rows.items():
         rates = [f"{row[rate]:.3f} [dim]{low:.2f}-{high:.2f}[/dim]" for rate, (low, high) in row["intervals"].items()]
-        time = "-" if row["navigation_time"] is None else f"{row['navigation_time']:.2f} s"
-        table.add_row(name, *rates, time, f"{row['total_reward']:.4f}", str(row["episodes"]))
+        table.add_row(name, *rates, *_rest(row))
+    _print(table)
+
+
+def print_sweep(rows: list[dict[str, Any]], title: str) -> None:
+    """A sweep's rows as a table."""
+    if any("recovered" in row for row in rows):
+        title += ", with recovery"
+    named = {}
+    for row in rows:
+        value = row["value"] if isinstance(row["value"], str) else f"{row['value']:g}"
+        named[f"{row['setting']} {value}"] = row | {"intervals": {"success": (row["success_low"], row["success_high"])}}
+    _print_many(named, "setting", title)
+
+
+def _print_many(rows: dict[str, dict[str, Any]], first: str, title: str) -> None:
+    """A line a row, with the interval of success alone."""
+    table = Table(title=Text(title), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column(first, no_wrap=True)
+    for heading in ("success", "95 %", "collision", "time-out", "nav. time", "total reward"):
+        table.add_column(heading, justify="right")
+    for name, row in rows.items():
+        low, high = row["intervals"]["success"]
+        interval = f"[dim]{low:.2f}-{high:.2f}[/dim]"
+        rates = [f"{row[rate]:.3f}" for rate in ("success", "collision", "timeout")]
+        table.add_row(name, rates[0], interval, *rates[1:], *_rest(row)[:2])
+    _print(table)
+
+
+def _rest(row: dict[str, Any]) -> tuple[str, str, str]:
+    """What follows the rates: navigation time, total reward, episodes."""
+    time = "-" if row["navigation_time"] is None else f"{row['navigation_time']:.2f} s"
+    return time, f"{row['total_reward']:.4f}", str(row["episodes"])
+
+
+def _print(table: Table) -> None:
     out.print(table, width=max(out.width, WIDTH), crop=False)  # in a narrow terminal lines wrap, but no number is cut

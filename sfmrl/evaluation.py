@@ -1,6 +1,8 @@
 """How good is a policy: the paper's metrics over test episodes, with intervals, in all and by environment."""
 
 import math
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -8,10 +10,12 @@ import numpy as np
 from sfmrl.config import Config, ConfigError, Reward, Simulation
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.lookahead import Policy
+from sfmrl.planner import solvable
 from sfmrl.policies import find_policy
 from sfmrl.progress import Progress, no_progress
 from sfmrl.recovery import RecoveringPolicy
 from sfmrl.scenarios import sample_scenes
+from sfmrl.sweeps import Sweep, swept
 
 RATES = ("success", "collision", "timeout")
 
@@ -31,9 +35,11 @@ def evaluation_record(
     reward: str | Reward | None = None,
     simulation: Simulation | None = None,
     phase: str = "test",
+    sweep: Sweep | None = None,
+    value: float | str = "",
     progress: Progress = no_progress,
 ) -> Record:
-    """Test episodes played with a policy.
+    """Test episodes played with a policy; of a `sweep`, those at one `value`.
 
     `environment`, `simulation` and `reward` (for the total reward) are by default those that the policy was trained to
     be tested in; for a policy that was not trained, table 1's mix and CRI's. Raises ConfigError on names that stand for
@@ -46,7 +52,8 @@ def evaluation_record(
     settings = own.reward if reward is None else reward if isinstance(reward, Reward) else Reward(reward=reward)
     environment = own.reinforcement.test_environment if environment is None else environment
     simulation = own.simulation if simulation is None else simulation
-    scenes = sample_scenes(environment, episodes, seed, phase=phase)
+    sample = partial(sample_scenes, environment, episodes, seed, phase=phase)
+    scenes, simulation = swept(sweep, value, simulation, sample) if sweep else (sample(), simulation)
     with progress(phase, episodes) as told:
         return play_episodes(scenes, chosen, settings, simulation, discount=own.discount, progress=told)
 
@@ -56,8 +63,8 @@ def metrics(record: Record, policy: Policy | None = None) -> dict[str, Any]:
 
     `success`, `collision`, `timeout` are rates, each with its 95 % Wilson interval under `intervals`;
     `navigation_time` is the successes' mean time in s (None without any); `total_reward` the mean discounted return.
-    `failures` are the episodes that did not succeed. Of a `policy` with recovery that has just played them, `recovered`
-    is the rate of episodes in which it was stuck.
+    `failures` are the episodes that did not succeed, and whether their squares leave a way to the goal. Of a `policy`
+    with recovery that has just played them, `recovered` is the rate of episodes in which it was stuck.
     """
     result = _summary(record)
     if isinstance(policy, RecoveringPolicy):
@@ -71,8 +78,9 @@ def metrics(record: Record, policy: Policy | None = None) -> dict[str, Any]:
             "episode": int(record.scenes.episode[e]),
             "environment": str(record.scenes.environment[e]),
             "outcome": str(record.outcome[e]),
+            "solvable": bool(possible),
         }
-        for e in failed
+        for e, possible in zip(failed, solvable(record.scenes.take(failed)), strict=True)
     ]
     return result
 
@@ -91,6 +99,20 @@ def episode_rows(record: Record) -> list[dict[str, Any]]:
         }
         for e in range(len(record.steps))
     ]
+
+
+def sweep_rows(policy: Policy, sweeps: Sequence[Sweep], **how: Any) -> list[dict[str, Any]]:
+    """A row of plain values for each value of each sweep; `how` as for `evaluation_record`."""
+    rows = []
+    for sweep in sweeps:
+        for value in sweep.values:
+            result = metrics(evaluation_record(policy, sweep=sweep, value=value, **how), policy)
+            low, high = result["intervals"]["success"]
+            row = {"setting": sweep.setting, "value": value, "episodes": result["episodes"]}
+            row |= {name: result[name] for name in RATES} | {"success_low": low, "success_high": high}
+            row |= {name: result[name] for name in ("navigation_time", "total_reward")}
+            rows.append(row | {name: result[name] for name in ("recovered",) if name in result})
+    return rows
 
 
 def wilson(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:

@@ -2,9 +2,9 @@
 
 A cell's distance is the length of the shortest path over the grid, whose steps go in 24 directions, so that none is
 more than 1.4 % too long. Sweeps over the rows and columns, to and fro, find it; they end when nothing changes any more
-(the order of fast sweeping: Zhao, 2005). Cells in which the robot would touch a square count as very long, those within
-`inflation` of that as longer, so every place has a distance, also one where the robot had better not be. People are
-left out: they will have moved on.
+(the order of fast sweeping: Zhao, 2005). Cells in which the robot would all but touch a square count as very long,
+those within `inflation` of it as longer, so every place has a distance, also one where the robot had better not be.
+People are left out: they will have moved on.
 """
 
 import math
@@ -76,6 +76,8 @@ def plan(scenes: Scenes, planner: Planner) -> Geodesics:
 
 def solvable(scenes: Scenes, planner: Planner = Planner()) -> np.ndarray:
     """Whether a path leads from the robot's start to its goal without touching a square, (E,)."""
+    if not len(scenes):
+        return np.zeros(0, dtype=bool)
     return plan(scenes, planner).at(np.arange(len(scenes)), scenes.start[:, 0]) < UNREACHABLE
 
 
@@ -97,11 +99,9 @@ def _plan_block(scenes: Scenes, planner: Planner) -> tuple[np.ndarray, np.ndarra
         dy = np.where(square[:, k], y - scenes.start[:, k, 1], np.inf).astype(np.float32)
         apart = np.sqrt((dx * dx)[None] + (dy * dy)[..., None])
         np.minimum(room, apart - (scenes.radius[:, k] + robot[:, 0]).astype(np.float32)[:, None], out=room)
-    cost = np.where(room < 0, SOLID, np.where(room < planner.inflation, NARROW, 1.0)).astype(np.float32)
-    cost[(np.arange(rows)[:, None] >= size[:, 1])] = np.inf
-    cost[np.broadcast_to((np.arange(columns) >= size[:, :1])[None], cost.shape)] = np.inf
-
-    cost *= np.float32(planner.resolution)
+    cost = np.where(room < planner.resolution / 4, SOLID, np.where(room < planner.inflation, NARROW, 1.0))
+    beyond = (np.arange(columns) >= size[:, :1]) | (np.arange(rows)[:, None, None] >= size[:, 1:])
+    cost = np.where(beyond, np.inf, planner.resolution * cost).astype(np.float32)
     far = np.full_like(cost, np.inf)
     episode = np.arange(len(scenes))
     goal = (scenes.goal[:, 0] - corner) / planner.resolution

@@ -28,7 +28,7 @@ class RecoveringPolicy:
     """
 
     def __init__(self, policy: Policy, planner: Planner) -> None:
-        self.policy, self.planner = policy, planner
+        self.policy, self.planner, self.original = policy, planner, policy
         if hasattr(policy, "trap_steps"):
             self.policy = copy.copy(policy)
             self.policy.trap_steps = TRAP_STEPS
@@ -94,5 +94,5 @@ def straight_way_is_free(world: World, inflation: float) -> np.ndarray:
 
 def with_recovery(policy: Policy, planner: Planner) -> Policy:
     """The policy with the recovery that `planner` asks for, or without any."""
-    own = policy.policy if isinstance(policy, RecoveringPolicy) else policy
+    own = policy.original if isinstance(policy, RecoveringPolicy) else policy
     return RecoveringPolicy(own, planner) if planner.recover else own

@@ -13,6 +13,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from sfmrl.config import ConfigError, suggest
+from sfmrl.layouts import LAYOUTS, MAPS, elements_of_map
 from sfmrl.placement import CIRCLE, RADIUS, V_PREF, Builder, people_on_circle
 from sfmrl.variants import MIXES
 
@@ -22,8 +23,10 @@ ENVIRONMENTS = {
     "3": "a concave barrier somewhere in the middle, five people",
     "4": "a row of three squares and a row of two, five people",
     "5": "a concave barrier, a row of three and a row of two, nobody",
+    "maps": "twenty layouts that no training samples, in turn; map-u, map-room ... are single ones",
     "circle": "ten people on a circle, no squares (CrowdNav); circle5 has five",
 }
+MAP_NAMES = {f"map-{name}": name for name in LAYOUTS}
 PHASES = ("train", "validation", "test", "imitation")
 STREAMS = (*PHASES, "fit", "batches", "exploration")  # everything that draws random numbers
 
@@ -103,9 +106,10 @@ def parse_mix(text: str) -> dict[str, float]:
     shares: dict[str, float] = {}
     for part in MIXES.get(text, text).split(","):
         name, colon, share = part.strip().partition(":")
-        if name not in ENVIRONMENTS and not re.fullmatch(r"circle\d+", name):
+        if name not in ENVIRONMENTS and name not in MAP_NAMES and not re.fullmatch(r"circle\d+", name):
             known = [*ENVIRONMENTS, *MIXES]
-            raise ConfigError(f"there is no environment {name!r}; choose {', '.join(known)}{suggest(name, known)}")
+            near = suggest(name, [*known, *MAP_NAMES])
+            raise ConfigError(f"there is no environment {name!r}; choose {', '.join(known)}{near}")
         try:
             shares[name] = shares.get(name, 0.0) + (float(share) if colon else 1.0)
         except ValueError:
@@ -117,7 +121,15 @@ def parse_mix(text: str) -> dict[str, float]:
 
 def elements_of(environment: str) -> int:
     """The most elements (people and squares) that an episode of an environment, or of a mix, can have."""
-    return max(people_on_circle(name) if name.startswith("circle") else 10 for name in parse_mix(environment))
+    return max(_elements(name) for name in parse_mix(environment))
+
+
+def _elements(name: str) -> int:
+    if name.startswith("circle"):
+        return people_on_circle(name)
+    if name == "maps":
+        return max(map(elements_of_map, MAPS))
+    return elements_of_map(MAP_NAMES[name]) if name in MAP_NAMES else 10
 
 
 def generator(seed: int, stream: str, *number: int) -> np.random.Generator:
@@ -132,12 +144,14 @@ def sample_scenes(
     *,
     phase: str = "test",
     circle: float = CIRCLE,
+    people: int | None = None,
 ) -> Scenes:
     """Sample episodes of an environment, or of a mix of them, each from its own seed.
 
     `environment` is one of `ENVIRONMENTS`, a mix such as "1:0.7,2:0.3", or "table1", "table2"; `episodes` is how many,
-    or the numbers of those wanted; `circle` is the radius (m) of the circle that people start on. The result has a row
-    for the robot and one for each element, people before squares. Raises ConfigError on names it does not know.
+    or the numbers of those wanted; `circle` is the radius (m) of the circle that people start on. With `people`, so
+    many on the circle take the place of the environment's own. The result has a row for the robot and one for each
+    element, people before squares. Raises ConfigError on names it does not know.
     """
     shares = parse_mix(environment)
     numbers = np.asarray(episodes)
@@ -154,7 +168,11 @@ def sample_scenes(
     draw = np.array([rng.random() for rng in rngs])
     names = np.array(list(shares))
     picked = names[np.minimum(np.searchsorted(np.cumsum(list(shares.values())), draw, side="right"), len(names) - 1)]
+    in_turn = np.array([f"map-{MAPS[number % len(MAPS)]}" for number in numbers], dtype=str)
+    picked = np.where(picked == "maps", in_turn, picked)
     builder = Builder(rngs, 1 + elements_of(environment), circle)
-    for name in shares:
-        builder.build(name, np.flatnonzero(picked == name))
+    for name in np.unique(picked):
+        builder.build(str(name), np.flatnonzero(picked == name))
+    if people is not None:
+        builder = builder.among(people)
     return Scenes(builder.start, builder.goal, square=builder.square, environment=picked, episode=numbers)

@@ -56,8 +56,8 @@ def test_metrics_of_a_record_made_by_hand():
     assert result["total_reward"] == pytest.approx(0.55 / 4)
     assert result["intervals"]["collision"] == pytest.approx(wilson(1, 4))
     assert result["failures"] == [
-        {"episode": 9, "environment": "2", "outcome": "collision"},
-        {"episode": 10, "environment": "1", "outcome": "timeout"},
+        {"episode": 9, "environment": "2", "outcome": "collision", "solvable": True},
+        {"episode": 10, "environment": "1", "outcome": "timeout", "solvable": True},
     ]
     second = result["environments"]["2"]
     assert (second["episodes"], second["success"], second["collision"], second["timeout"]) == (2, 0.5, 0.5, 0.0)

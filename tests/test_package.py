@@ -29,6 +29,7 @@ LEVELS = (
         "gradients",
     ),
     (
+        "layouts",
         "placement",
         "scenarios",
         "planner",
@@ -40,7 +41,7 @@ LEVELS = (
         "policies",
         "episodes",
     ),
-    ("evaluation", "memory", "learning", "learner", "exploration", "runs", "imitation", "reinforcement"),
+    ("sweeps", "evaluation", "memory", "learning", "learner", "exploration", "runs", "imitation", "reinforcement"),
     ("canvas", "story", "timeline", "panel", "screen", "replay"),
     ("options", "console", "session", "cli"),
 )

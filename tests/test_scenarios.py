@@ -207,7 +207,7 @@ def test_phases_and_seeds_never_share_a_scene():
 @pytest.mark.parametrize(
     ("call", "remedy"),
     [
-        (lambda: sample_scenes("6", 1), "choose 1, 2, 3, 4, 5, circle, table1, table2"),
+        (lambda: sample_scenes("6", 1), "choose 1, 2, 3, 4, 5, maps, circle, table1, table2"),
         (lambda: sample_scenes("tabel1", 1), "did you mean table1"),
         (lambda: sample_scenes("1:0.7,2:0.2", 1), "add up to 1, as in 1:0.7,2:0.3"),
         (lambda: sample_scenes("1:half,2:0.5", 1), "share of environment 1 is 'half'; it must be a number"),

@@ -1,0 +1,186 @@
+"""Ways around squares, against straight lines, circles' tangents and a queue of our own; and shaping by them."""
+
+import heapq
+import math
+
+import numpy as np
+import pytest
+
+from sfmrl import planner as planner_module
+from sfmrl.config import Config, ConfigError, Planner
+from sfmrl.crowd import reset
+from sfmrl.episodes import play, potentials, returns_of
+from sfmrl.lookahead import potential
+from sfmrl.planner import plan, solvable
+from sfmrl.scenarios import Scenes, sample_scenes
+from sfmrl.variants import make_config
+
+
+def among_squares(*squares: tuple[float, float], goal=(0.0, 4.0)) -> Scenes:
+    """A robot at (0, -4) and squares with these centres."""
+    places = [[(0.0, -4.0), *squares]]
+    return Scenes(places, [[goal, *squares]], square=[[False] + [True] * len(squares)])
+
+
+def distances(scenes: Scenes, places, planner: Planner = Planner()) -> np.ndarray:
+    places = np.asarray(places, dtype=float)
+    return plan(scenes, planner).at(np.zeros(1, dtype=int), places[None])[0]
+
+
+def test_without_squares_the_way_is_straight():
+    scenes = Scenes([[(0, -4)]], [[(0.3, 4.05)]])
+    places = np.random.default_rng(0).uniform((-0.9, -4.9), (1.2, 4.9), (500, 2))
+    straight = np.hypot(*(places - (0.3, 4.05)).T)
+    way = distances(scenes, places)
+    assert (way > straight - 0.06).all()
+    assert (way < 1.0141 * straight + 0.06).all()
+
+
+def test_from_outside_the_grid_the_way_leads_to_its_edge():
+    scenes = Scenes([[(0, -4)]], [[(0, 4)]])
+    grid = plan(scenes, Planner())
+    left = grid.corner[0, 0]
+    edge, beyond = distances(scenes, [(left, 4.0), (left - 7.0, 4.0)])
+    assert beyond == pytest.approx(edge + 7.0)
+
+
+def test_around_one_square_the_way_is_two_tangents_and_an_arc():
+    planner = Planner(resolution=0.05, inflation=0.0)
+    way = float(distances(among_squares((0, 0)), [(0, -4)], planner)[0])
+    radius = 0.6  # the square's disc and the robot's
+    exact = 2 * math.sqrt(16 - radius**2) + radius * 2 * math.asin(radius / 4)
+    assert exact - 0.06 < way < 1.014 * exact + 0.06
+
+
+def brute_force(far: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """Dijkstra's algorithm over the 24 steps, for one scene's (Y, X)."""
+    rows, columns = far.shape
+    moves = [(a, b) for a in range(-3, 4) for b in range(-3, 4) if math.gcd(a, b) == 1 and 1 in (abs(a), abs(b))]
+    assert len(moves) == 24
+    best = far.astype(float)
+    queue = [(best[y, x], y, x) for y, x in zip(*np.nonzero(np.isfinite(best)), strict=True)]
+    heapq.heapify(queue)
+    while queue:
+        length, y, x = heapq.heappop(queue)
+        if length > best[y, x]:
+            continue
+        for a, b in moves:
+            i, j = y + a, x + b
+            if 0 <= i < rows and 0 <= j < columns:
+                longer = length + float(cost[i, j]) * math.hypot(a, b)
+                if longer < best[i, j] - 1e-9:
+                    best[i, j] = longer
+                    heapq.heappush(queue, (longer, i, j))
+    return best
+
+
+def test_the_sweeps_find_what_dijkstra_s_algorithm_finds(monkeypatch):
+    seen = []
+    shortest = planner_module._shortest
+    monkeypatch.setattr(planner_module, "_shortest", lambda *a: seen.append((*a, shortest(*a))) or seen[-1][2])
+    plan(sample_scenes("maps:0.5,5:0.5", 6), Planner(resolution=0.2))
+    far, cost, found = seen[0]
+    for e in range(6):
+        wanted = brute_force(far[:, e], cost[:, e])
+        np.testing.assert_allclose(found[:, e], wanted, rtol=1e-5, atol=1e-4)
+
+
+def test_a_scene_s_distances_have_the_same_bits_whatever_shares_the_batch():
+    scenes = sample_scenes("maps:0.3,table1:0.7".replace("table1", "1"), 70, seed=2)
+    places = np.random.default_rng(1).uniform(-6, 6, (70, 40, 2))
+    whole = plan(scenes, Planner()).at(np.arange(70), places)
+    for e in (0, 13, 63, 64, 69):
+        alone = plan(scenes.take([e]), Planner()).at(np.zeros(1, dtype=int), places[[e]])
+        np.testing.assert_array_equal(whole[e], alone[0])
+
+
+def test_following_the_distances_downhill_leads_to_the_goal_in_every_layout():
+    """No place on the way is a dead end, also between the cells and beside the squares."""
+    scenes = sample_scenes("maps", 20)
+    grid, headings = plan(scenes, Planner()), np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    moves = np.stack((np.cos(headings), np.sin(headings)), -1)[None] * np.array([0.25, 0.12, 0.03])[:, None, None]
+    at, rows = scenes.start[:, 0].copy(), np.arange(20)
+    for _ in range(500):
+        there = np.hypot(*(at - scenes.goal[:, 0]).T) < 0.3
+        options = at[:, None] + moves.reshape(-1, 2)
+        best = grid.at(rows, options).argmin(1)
+        at = np.where(there[:, None], at, options[rows, best])
+    assert there.all()
+
+
+def test_a_closed_room_is_named_unsolvable_and_the_twenty_layouts_are_not():
+    assert not solvable(sample_scenes("map-closed", 1)).any()
+    assert solvable(sample_scenes("maps", 20)).all()
+    assert solvable(sample_scenes("table2", 50)).all()
+    assert solvable(sample_scenes("1", 0)).shape == (0,)
+
+
+def test_places_inside_squares_have_finite_distances_that_fall_outwards():
+    middle, edge, out = distances(among_squares((0, 0)), [(0.0, 0.0), (0.4, 0.0), (0.9, 0.0)])
+    assert middle > edge > out > 3.9
+
+
+# Shaping
+
+
+def test_the_potential_is_a_power_of_the_way_and_one_at_the_goal():
+    scenes = among_squares((0, 0))
+    world, config = reset(scenes, planner=Planner()), Config(shaping="geodesic")
+    places = np.array([[[0, -4], [0, 3.9], [0, 4], [0, 2]]], dtype=float)
+    way = world.geodesic_distance(places)
+    np.testing.assert_allclose(potential(world, places, config), 0.9 ** np.maximum(way - 0.3, 0))
+    np.testing.assert_allclose(potential(world, places, config)[0, 1:3], 1.0)
+
+
+def test_shaped_returns_are_the_plain_ones_less_the_potential():
+    """What is learnt is the discounted sum of r + gamma potential(next) - potential(now), summed step by step."""
+    config = make_config("quick", shaping="geodesic")
+    record = play(sample_scenes("table1", 12), "orca", reward="sfm")
+    base = np.full(record.played.shape, np.nan)
+    base[record.played] = potentials(record, config)
+    gamma = config.discount**record.simulation.time_step
+    after = np.concatenate((base[:, 1:], np.full((12, 1), np.nan)), axis=1)
+    shaped = record.reward + gamma * np.nan_to_num(after) - base  # after the end the potential is 0
+    step = np.full(12, gamma)
+    returns = returns_of(record.reward, step)
+    np.testing.assert_allclose(returns_of(shaped, step)[record.played], (returns - base)[record.played], atol=1e-12)
+    assert not potentials(record, make_config("quick")).any()
+
+
+def test_the_best_policy_of_a_tiny_problem_is_the_same_with_and_without_shaping():
+    """Ng, Harada and Russell's theorem, by value iteration on a maze with slips whose goal lies behind a wall."""
+    scenes = among_squares((-0.6, 0), (0, 0), (0.6, 0), goal=(0.0, 1.5))
+    world, config = reset(scenes, planner=Planner()), Config(shaping="geodesic")
+    x, y = np.meshgrid(np.arange(-2, 2.1, 0.5), np.arange(-1.5, 1.6, 0.5))
+    cells = np.stack((x.ravel(), y.ravel()), -1)
+    wall = (np.abs(cells[:, 0]) < 1.2) & (np.abs(cells[:, 1]) < 0.6)
+    goal = np.hypot(*(cells - (0.0, 1.5)).T) < 0.3
+    moves = [(0, 0), (0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5)]
+    where = {tuple(cell): k for k, cell in enumerate(cells.round(6))}
+    lands = np.array([[where.get(tuple((c + m).round(6)), k) for m in moves] for k, c in enumerate(cells)])
+    lands = np.where(wall[lands], np.arange(len(cells))[:, None], lands)
+    chance = np.full((len(moves), len(moves)), 0.05) + np.eye(len(moves)) * 0.75  # of another move than the one meant
+
+    base = np.where(goal, 0.0, potential(world, cells[None], config)[0])
+    rewards = np.where(goal[lands], 1.0, -0.01)
+    gamma, best = 0.9**0.5, {}
+    for name, reward in (("plain", rewards), ("shaped", rewards + gamma * base[lands] - base[:, None])):
+        value = np.zeros(len(cells))
+        for _ in range(1000):
+            each = reward + gamma * value[lands]
+            action = each @ chance.T
+            value = np.where(goal | wall, 0.0, action.max(1))
+        best[name] = action, value
+    open_cells = ~goal & ~wall
+    shift = best["plain"][1] - best["shaped"][1]
+    np.testing.assert_allclose(shift[open_cells], base[open_cells], atol=1e-9)
+    for plain, shaped in zip(best["plain"][0][open_cells], best["shaped"][0][open_cells], strict=True):
+        np.testing.assert_array_equal(plain > plain.max() - 1e-9, shaped > shaped.max() - 1e-9)
+    assert np.ptp(base[open_cells]) > 0.1  # the potential is no constant
+
+
+def test_shaping_takes_the_place_of_the_value_prior():
+    assert make_config("quick").value_prior
+    assert not make_config("quick", shaping="geodesic").value_prior
+    with pytest.raises(ConfigError, match="leave out one"):
+        make_config("quick", shaping="geodesic", value_prior=True)

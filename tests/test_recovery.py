@@ -1,0 +1,146 @@
+"""Recovery: dead ends are left, a robot on its way is let alone, and looking out for traps pays."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from sfmrl.actions import ACTIONS, OUTLOOK, best_untrapped, trapped
+from sfmrl.config import Config, Planner, Reward, Simulation
+from sfmrl.crowd import advance, reset, transition
+from sfmrl.episodes import play_episodes
+from sfmrl.lookahead import SarlPolicy
+from sfmrl.network import ValueNetwork
+from sfmrl.policies import find_policy, linear_policy, orca_policy
+from sfmrl.recovery import RecoveringPolicy, straight_way_is_free, with_recovery
+from sfmrl.rewards import COLLISION
+from sfmrl.scenarios import Scenes, sample_scenes
+
+ON = Planner(recover=True)
+
+
+def test_orca_leaves_every_dead_end_with_recovery_and_stays_in_them_without():
+    scenes = sample_scenes("maps", 20)
+    alone = play_episodes(scenes, orca_policy, Reward(), Simulation())
+    helped = play_episodes(scenes, RecoveringPolicy(orca_policy, ON), Reward(), Simulation())
+    assert (alone.outcome == "timeout").sum() >= 10
+    assert (helped.outcome != "timeout").all()
+    assert (helped.outcome == "success").sum() >= 19
+
+
+def test_a_robot_that_makes_progress_is_left_to_its_policy():
+    scenes = Scenes(np.array([[[0, -4], [3.0, 0]]]), np.array([[[0, 4], [3.0, 0]]]), square=[[False, True]])
+    policy = RecoveringPolicy(linear_policy, ON)
+    record = play_episodes(scenes, policy, Reward(), Simulation())
+    plain = play_episodes(scenes, linear_policy, Reward(), Simulation())
+    np.testing.assert_array_equal(record.position, plain.position)
+    assert not policy.helped.any()
+
+
+def test_stuck_is_who_has_not_come_nearer_within_the_stall_time():
+    """A robot that stands is stuck after 2 s, by default, and let alone again where no square is in its way."""
+
+    def still(world, crowd_velocity):
+        return np.zeros((len(world), 2))
+
+    blocked = Scenes([[(0, -4), (0, 0)]], [[(0, 4), (0, 0)]], square=[[False, True]])
+    policy = RecoveringPolicy(still, ON)
+    record = play_episodes(blocked, policy, Reward(), Simulation())
+    moved = np.hypot(*record.velocity[0, 1 : record.steps[0] + 1, 0].T) > 0
+    assert not moved[:8].any()
+    assert moved[8]
+    assert policy.helped.all()
+    stuck = policy.watch_all(record.worlds(ON))
+    np.testing.assert_array_equal(stuck, moved)
+    patient = RecoveringPolicy(still, Planner(recover=True, stall_time=30.0))
+    assert not np.nan_to_num(play_episodes(blocked, patient, Reward(), Simulation()).velocity).any()
+
+
+def test_the_straight_way_is_judged_by_the_squares_alone():
+    places = np.array([[[0, -4], [0.5, 0]], [[0, -4], [0.75, 0]], [[0, -4], [0, 0]]], dtype=float)
+    goal = np.array([[[0, 4], [0, 0]]] * 3, dtype=float)
+    world = reset(Scenes(places, goal, square=[[False, True], [False, True], [False, False]]))
+    np.testing.assert_array_equal(straight_way_is_free(world, 0.1), [False, True, True])
+
+
+@pytest.mark.parametrize("crowd", ["orca", "sfm"])
+def test_an_episode_has_the_same_bits_alone_and_in_a_batch(crowd):
+    scenes = sample_scenes("1:0.5,2:0.3,5:0.2", 40, seed=3)
+    whole = play_episodes(scenes, RecoveringPolicy(orca_policy, ON), Reward(), Simulation(crowd=crowd), batch=16)
+    for e in (0, 5, 16, 17, 39):
+        policy = RecoveringPolicy(orca_policy, ON)
+        alone = play_episodes(scenes.take([e]), policy, Reward(), Simulation(crowd=crowd))
+        np.testing.assert_array_equal(whole.position[e, : alone.steps[0] + 1], alone.position[0])
+    again = RecoveringPolicy(orca_policy, ON)  # what it remembers of one play does not reach into the next
+    play_episodes(scenes.take([7, 8]), again, Reward(), Simulation(crowd=crowd))
+    second = play_episodes(scenes, again, Reward(), Simulation(crowd=crowd))
+    np.testing.assert_array_equal(second.position, whole.position)
+
+
+def test_recovery_is_put_on_and_taken_off_and_leaves_the_network_as_it_was():
+    policy = SarlPolicy(ValueNetwork(), Config(avoid_traps=True))
+    helped = with_recovery(policy, ON)
+    assert isinstance(helped, RecoveringPolicy)
+    assert helped.network is policy.network
+    assert helped.batch == policy.batch
+    assert (policy.trap_steps, helped.policy.trap_steps) == (1, 2)
+    assert with_recovery(helped, Planner()).trap_steps == 1
+    assert with_recovery(find_policy("orca"), Planner()) is orca_policy
+
+
+# Traps
+
+
+def squeezed(episodes: int, seed: int):
+    """Worlds with three people near the robot, coming for it at once, and what they are about to do."""
+    rng = np.random.default_rng(seed)
+    angle, reach = rng.uniform(0, 2 * np.pi, (episodes, 3)), rng.uniform(0.65, 1.3, (episodes, 3))
+    around = reach[..., None] * np.stack((np.cos(angle), np.sin(angle)), -1)
+    start = np.concatenate((np.zeros((episodes, 1, 2)), around), axis=1)
+    world = reset(Scenes(start, start + 3))
+    velocity = np.concatenate((np.zeros((episodes, 1, 2)), -around / reach[..., None]), axis=1)
+    velocity += rng.normal(0, 0.3, velocity.shape)
+    return type(world)(**{**vars(world), "velocity": velocity}), velocity
+
+
+def has_way_out(world, actions: np.ndarray, steps: int) -> bool:
+    """Whether a sequence of so many actions has no collision, by trying them all, for a world of one episode."""
+    for sequence in product(actions, repeat=steps):
+        at = world
+        for action in sequence:
+            if transition(at, action[None]).outcome[0] == COLLISION:
+                break
+            at = advance(at, at.velocity, action[None])
+        else:
+            return True
+    return False
+
+
+def test_traps_two_steps_deep_are_those_that_trying_everything_finds():
+    world, _ = squeezed(60, seed=0)
+    few = ACTIONS[OUTLOOK[::4]]
+    found = {steps: trapped(world, np.broadcast_to(few, (60, *few.shape)), steps) for steps in (1, 2)}
+    for e in range(60):
+        one = world.take(np.array([e]))
+        for steps in (1, 2):
+            assert found[steps][e] == (not has_way_out(one, few, steps))
+    assert 0 < found[1].sum() < found[2].sum() < 60
+
+
+def test_the_longer_outlook_takes_the_best_action_that_leaves_a_way_out():
+    world, moves = squeezed(60, seed=1)
+    values = np.random.default_rng(2).normal(size=(60, 81))
+    actions = np.broadcast_to(ACTIONS, (60, 81, 2))
+    outcome = transition(world, actions).outcome
+    values = np.where(outcome == COLLISION, -10.0, values)
+    near, far = (best_untrapped(world, moves, actions, values, outcome, steps) for steps in (1, 2))
+    changed = np.flatnonzero(near != far)
+    assert len(changed)
+    for e in changed:
+        one, after = world.take(np.array([e])), None
+        ranked = [a for a in np.argsort(-values[e], kind="stable") if outcome[e, a] != COLLISION]
+        for a in ranked:
+            after = advance(one, moves[[e]], ACTIONS[[a]])
+            if has_way_out(after, ACTIONS[OUTLOOK], 2):
+                break
+        assert far[e] == a
