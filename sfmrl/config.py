@@ -118,7 +118,7 @@ class Reward(_Checked):
 class Planner(_Checked):
     """Recovery at play, and the grid on which ways around squares are measured."""
 
-    recover: bool = knob(False, "at play, a robot that is stuck is led around the squares, and all look out for traps")
+    recover: bool = knob(False, "at play, lead a robot that is stuck around squares, look farther for traps (ours)")
     stall_time: float = knob(2.0, "recover: after so long without progress the robot is stuck, s", least=0)
     stall_distance: float = knob(0.25, "recover: progress is to shorten the way around squares by this, m", least=0)
     resolution: float = knob(0.1, "way around squares: side of the grid's cells, m", least=0.02)
@@ -136,9 +136,9 @@ class Imitation(_Checked):
     episodes: int = knob(3000, "demonstrations by ORCA", least=1)
     epochs: int = knob(50, "passes over the demonstrations", least=1)
     batch_size: int = knob(100, "states in a batch", least=1)
-    optimizer: str = knob("sgd", "sgd (momentum 0.9) or adam", choices=_OPTIMIZERS)
+    optimizer: str = knob("sgd", "sgd (momentum 0.9) or adam (Kingma and Ba, 2015)", choices=_OPTIMIZERS)
     learning_rate: float = knob(0.01, "learning rate", least=0)
-    schedule: str = knob("constant", "how the learning rate moves over the training", choices=_SCHEDULES)
+    schedule: str = knob("constant", "course of the learning rate (one-cycle: Smith, 2017)", choices=_SCHEDULES)
     environment: str = knob("1", "environments of the demonstrations")
 
 
@@ -147,25 +147,26 @@ class Reinforcement(_Checked):
     """Deep V-learning; the paper's numbers, CRI's where it is silent."""
 
     episodes: int = knob(10_000, "training episodes", least=1)
-    parallel: int = knob(1, "episodes played side by side", least=1)
-    overlap: bool = knob(False, "learn from the last episodes while the next are played, with the network of before")
+    parallel: int = knob(1, "episodes played side by side, for speed", least=1)
+    overlap: bool = knob(False, "learn from the last episodes while the next are played (as in Mnih et al., 2016)")
     batches: int = knob(100, "batches of learning an episode (CRI)", least=0)
     batch_size: int = knob(100, "states in a batch", least=1)
-    optimizer: str = knob("sgd", "sgd (momentum 0.9) or adam", choices=_OPTIMIZERS)
+    optimizer: str = knob("sgd", "sgd (momentum 0.9) or adam (Kingma and Ba, 2015)", choices=_OPTIMIZERS)
     learning_rate: float = knob(0.001, "learning rate", least=0)
-    schedule: str = knob("constant", "how the learning rate moves over the training", choices=_SCHEDULES)
+    schedule: str = knob("constant", "course of the learning rate (one-cycle: Smith, 2017)", choices=_SCHEDULES)
     epsilon_start: float = knob(0.5, "share of random actions at the start (CRI)", least=0, most=1)
     epsilon_end: float = knob(0.1, "share of random actions in the end (CRI)", least=0, most=1)
     epsilon_episodes: int = knob(4000, "episodes from the first share to the last (CRI)", least=1)
     targets: str = knob(
         "td",
-        "values to learn: td, reward plus the target's next value, or returns, what followed to the next random action",
+        "learn td, the reward plus the target's next value, or returns, all that followed up to the next random action "
+        "(Watkins, 1989)",
         choices=("td", "returns"),
     )
     target_interval: int = knob(50, "episodes between updates of the target network (CRI)", least=1)
     memory: int = knob(100_000, "states kept to learn from (CRI)", least=1)
-    keep_timeouts: bool = knob(False, "learn from timed-out episodes too, as worth 0 at their end (CRI drops them)")
-    average: int = knob(0, "test with weights averaged over about so many batches; 0 is off", least=0)
+    keep_timeouts: bool = knob(False, "learn from time-outs too, as worth 0 at their end (ours; CRI drops them)")
+    average: int = knob(0, "test with weights averaged over so many batches (Polyak, 1992); 0: off", least=0)
     environment: str = knob("table1", "environments to train in, and their shares; rl tests there too")
     test_environment: str = knob("table1", "environments of validation and test (paper: table 1's mix in all its rows)")
     validation_interval: int = knob(1000, "episodes between validations", least=1)
@@ -182,16 +183,16 @@ class Config:
     forces: bool = knob(False, "social forces in the state: 17 columns instead of 13")
     precision: str = knob(
         "fp32",
-        "inner layers of the network in float32, bfloat16 (faster), or auto: bf16 where the processor has it",
+        "inner layers in float32, bfloat16 (faster; Kalamkar et al., 2019), or auto: bf16 where the processor has it",
         choices=("fp32", "bf16", "auto"),
     )
     discount: float = knob(0.9, "discount per second at 1 m/s (CRI's gamma)", least=0, most=1)
-    value_prior: bool = knob(False, "write the value as 0.9^(goal distance - 0.3) (0.8 + network)")
-    collision_ends: bool = knob(False, "when looking ahead, a collision has no value beyond its reward")
-    avoid_traps: bool = knob(False, "pass over an action after which every action collides, where another does not")
+    value_prior: bool = knob(False, "write the value as 0.9^(goal distance - 0.3) (0.8 + network) (ours)")
+    collision_ends: bool = knob(False, "in looking ahead, nothing follows a collision (Sutton and Barto, 1998)")
+    avoid_traps: bool = knob(False, "pass over actions after which all collide, if it can (Fraichard and Asama, 2004)")
     shaping: str = knob(
         "none",
-        "geodesic: learn what is left of the values beyond 0.9^(way around the squares)",
+        "geodesic: reward getting nearer to the goal on the way around the squares (Ng et al., 1999)",
         choices=("none", "geodesic"),
     )
     simulation: Simulation = field(default_factory=Simulation)

@@ -31,8 +31,10 @@ from sfmrl.learning import OPTIMIZERS, learn, torch_threads
 from sfmrl.lookahead import SarlPolicy, available_cores
 from sfmrl.network import ValueNetwork, resolved
 from sfmrl.placement import BARRIER
+from sfmrl.planner import plan
 from sfmrl.policies import orca_policy
 from sfmrl.progress import no_progress
+from sfmrl.recovery import RecoveringPolicy
 from sfmrl.reinforcement import reinforce, start_run
 from sfmrl.runs import create_run
 from sfmrl.scenarios import Scenes, sample_scenes
@@ -272,13 +274,17 @@ def evaluation() -> None:
     console.print("\n[bold]evaluation[/bold], SARL, 500 test episodes of table 1's mix")
     for precision in precisions():
         config = make_config("quick", precision=precision)
-        policy = SarlPolicy(taught(config).network, config, CORES)
-        start = time.perf_counter()
-        record = evaluation_record(policy)
-        took, steps = time.perf_counter() - start, record.steps.sum()
-        console.print(
-            f"{precision}: {took:.1f} s, {steps / 500:.0f} steps an episode, {took / steps * 1e3:.2f} ms a step"
-        )
+        alone = SarlPolicy(taught(config).network, config, CORES)
+        for title, policy in (("alone", alone), ("with recovery", RecoveringPolicy(alone, config.planner))):
+            start = time.perf_counter()
+            record = evaluation_record(policy)
+            took, steps = time.perf_counter() - start, record.steps.sum()
+            console.print(
+                f"{precision}, {title}: {took:.1f} s, {steps / 500:.0f} steps an episode, "
+                f"{took / steps * 1e3:.2f} ms a step"
+            )
+    planning = fastest(lambda: plan(record.scenes, config.planner))
+    console.print(f"ways around squares: {planning * 2:.2f} ms an episode, {planning / took:.1%} of playing it")
 
 
 def training() -> None:

@@ -124,6 +124,11 @@ WRONG_USE = [
     (("eval", "orca", "--time-step", "nan"), ("time-step",)),
     (("eval", "orca", "--csv", "no/such/folder.csv"), ("no folder no/such",)),
     (("eval", "orca", "--episodes", "2", "--csv", ".", "--overwrite"), ("is a folder",)),
+    (("eval", "orca", "--sweep", "humens=0:20:5"), ("did you mean humans?",)),
+    (("eval", "orca", "--sweep", "crowd=orca,rvo"), ("crowd is 'rvo'; choose orca, sfm",)),
+    (("eval", "orca", "--environment", "map-rooms"), ("there is no environment 'map-rooms'", "did you mean map-room?")),
+    (("eval", "orca", "--recover", "--resolution", "0"), ("resolution",)),
+    (("rl", "--from-scratch", "--shaping", "geodesic", "--value-prior"), ("leave out one of them",)),
     (("eval", "."), (". is not a run folder",)),
     (("eval",), ("no finished run", "sfmrl il")),
     (("il", "--variant", "sarl-sfn"), ("there is no variant 'sarl-sfn'", "did you mean sarl-sfm?")),
@@ -197,6 +202,46 @@ def test_results_go_to_standard_output_and_what_to_do_next_to_standard_error(sfm
     shown = sfmrl(*line.partition("see one: sfmrl ")[2].split(), "--frames", "1")
     assert shown.returncode == 0, shown.stderr
     assert shown.stdout.strip()
+
+
+def test_recovery_on_the_maps_by_name_and_an_unsolvable_one_is_called_so(sfmrl: Call):
+    done = sfmrl("eval", "orca", "--recover", "--environment", "maps", "--episodes", "20")
+    assert done.returncode == 0, done.stderr
+    assert "with recovery (stuck in" in done.stdout
+    assert "narrow-corridor" in done.stdout
+    assert "…" not in done.stdout
+    closed = sfmrl("eval", "orca", "--recover", "--environment", "map-closed", "--episodes", "2")
+    assert "unsolvable, the squares leave no way to the goal: 0, 1" in closed.stderr
+    assert "--recover" in closed.stderr
+
+
+def test_a_sweep_is_a_table_a_csv_and_json(sfmrl: Call, tmp_path: Path):
+    words = (
+        "eval",
+        "orca",
+        "--environment",
+        "2",
+        "--episodes",
+        "3",
+        "--sweep",
+        "humans=0:20:10",
+        "--sweep",
+        "v_pref=1",
+    )
+    done = sfmrl(*words, "--csv", "out.csv")
+    assert done.returncode == 0, done.stderr
+    assert [line.split()[:2] for line in done.stdout.splitlines() if re.match(" *(humans|v_pref)", line)] == [
+        ["humans", "0"],
+        ["humans", "10"],
+        ["humans", "20"],
+        ["v_pref", "1"],
+    ]
+    assert "…" not in done.stdout
+    with open(tmp_path / "out.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    again = json.loads(sfmrl(*words, "--json").stdout)
+    assert [row["success"] for row in rows] == [str(row["success"]) for row in again["rows"]]
+    assert_one_line_error(sfmrl(*words, "--csv", "out.csv"), "out.csv", "--overwrite")
 
 
 def test_the_reader_of_a_pipe_may_leave_early():

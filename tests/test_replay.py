@@ -472,3 +472,20 @@ def test_live_writes_the_last_frame_where_there_is_no_terminal():
     console = Console(file=io.StringIO(), width=80)
     play_live(frames, console)
     assert [line.rstrip() for line in console.file.getvalue().rstrip().split("\n")] == frames[-1].plain.split("\n")
+
+
+def test_a_stretch_that_recovery_led_is_marked_and_told():
+    from sfmrl.config import Planner
+    from sfmrl.policies import orca_policy
+    from sfmrl.recovery import RecoveringPolicy
+
+    policy = RecoveringPolicy(orca_policy, Planner(recover=True))
+    record = play(sample_scenes("map-u", [0]), policy)
+    frames = make_frames(record, policy=policy)
+    told = [frame for frame in frames if "stuck: led around the squares" in frame.plain]
+    line = frames[-1].plain.split("\n")[-2]
+    assert "~" in line
+    assert "~" not in make_frames(record)[-1].plain.split("\n")[-2]
+    assert f"stuck for {len(told) * 0.25:.2f} s" in frames[-1].plain
+    for frame in frames:
+        assert_fits(frame.plain, 80, 24)
