@@ -20,6 +20,7 @@ def _actions() -> np.ndarray:
 ACTIONS = _actions()
 # Those that are tried where sequences of actions are: stop, and all headings at full speed and at 0.48 of it.
 OUTLOOK = np.flatnonzero(np.isin(np.arange(81) % 5, (0, 3)))
+FORESEEN = 0.1  # m: how far the robot keeps from where people will be if they go straight on
 
 
 def best_untrapped(
@@ -57,20 +58,28 @@ def best_untrapped(
     return best
 
 
-def trapped(world: World, actions: np.ndarray, steps: int = 1) -> np.ndarray:
-    """Whether all sequences of `steps` actions (E, A, 2) collide if people keep their velocities, (E,) bool."""
-    collides = transition(world, actions).outcome == COLLISION
+def trapped(world: World, actions: np.ndarray, steps: int = 1, margin: float = 0.0) -> np.ndarray:
+    """Whether all sequences of `steps` actions (E, A, 2) collide if people keep their velocities, (E,) bool.
+
+    To come closer to a person than `margin` (m) is a collision, too; from the second step on, which is a guess, than
+    `FORESEEN`.
+    """
+    step = transition(world, actions)
+    collides = step.outcome == COLLISION
+    if margin:
+        people = np.where(world.square[:, None, 1:], np.inf, step.separations)
+        collides |= people.min(axis=-1, initial=np.inf) < margin
     lost = collides.all(1)
     if steps == 1:
         return lost
     # Nobody can be met who is farther away than both can go.
     gap = length(world.position[:, 1:] - world.position[:, :1]) - world.radius[:, 1:] - world.radius[:, :1]
-    reach = steps * world.simulation.time_step * (length(world.velocity[:, 1:]) + world.v_pref[:, :1])
+    reach = steps * world.simulation.time_step * (length(world.velocity[:, 1:]) + world.v_pref[:, :1]) + FORESEEN
     doubtful = np.flatnonzero(~lost & ((gap < reach) & ~world.square[:, 1:]).any(1))
     row, action = np.nonzero(~collides[doubtful])
     first, then = actions[doubtful[row], action], actions[doubtful[row]]
     before = replace(world, edges=world.edges.none()).take(doubtful[row])  # edges are for ORCA, and large
-    open_end = ~trapped(advance(before, before.velocity, first), then, steps - 1)
+    open_end = ~trapped(advance(before, before.velocity, first), then, steps - 1, FORESEEN)
     lost[doubtful] = True
     lost[doubtful[row[open_end]]] = False
     return lost

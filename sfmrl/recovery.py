@@ -38,6 +38,8 @@ class RecoveringPolicy:
         self.helped = np.zeros(0, dtype=bool)  # whether an episode has ever been stuck
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):  # whoever copies this asks before there is a policy
+            raise AttributeError(name)
         return getattr(self.policy, name)
 
     def __call__(self, world: World, crowd_velocity: np.ndarray) -> np.ndarray:

@@ -107,8 +107,9 @@ def has_way_out(world, actions: np.ndarray, steps: int) -> bool:
     """Whether a sequence of so many actions has no collision, by trying them all, for a world of one episode."""
     for sequence in product(actions, repeat=steps):
         at = world
-        for action in sequence:
-            if transition(at, action[None]).outcome[0] == COLLISION:
+        for number, action in enumerate(sequence):
+            step = transition(at, action[None])
+            if step.outcome[0] == COLLISION or (number and step.separation[0] < 0.1):
                 break
             at = advance(at, at.velocity, action[None])
         else:
