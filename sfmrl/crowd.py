@@ -58,7 +58,12 @@ class World:
         return World(**kept, edges=self.edges.take(rows), simulation=self.simulation, geodesics=self.geodesics)
 
     def geodesic_distance(self, position: np.ndarray) -> np.ndarray:
-        """How far it is from positions (E, ..., 2) to the robot's goal around the squares, (E, ...) m."""
+        """How far it is from positions (E, ..., 2) to the robot's goal around the squares, (E, ...) m.
+
+        Raises ValueError where the world was made without a planner.
+        """
+        if self.geodesics is None:
+            raise ValueError("this world knows no ways around squares; make it with reset(scenes, simulation, planner)")
         return self.geodesics.at(self.episode, position)
 
 

@@ -9,10 +9,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import torch
 from conftest import ROOT, environment
 
 from sfmrl.cli import main
 from sfmrl.variants import make_config
+from sfmrl.weights import load_weights
 
 Call = Callable[..., subprocess.CompletedProcess]
 TINY_IL = ("--episodes", "6", "--epochs", "2")
@@ -202,6 +204,19 @@ def test_results_go_to_standard_output_and_what_to_do_next_to_standard_error(sfm
     shown = sfmrl(*line.partition("see one: sfmrl ")[2].split(), "--frames", "1")
     assert shown.returncode == 0, shown.stderr
     assert shown.stdout.strip()
+
+
+def test_shaped_training_has_the_same_bits_on_one_thread_and_on_two_and_is_replayed(sfmrl: Call, tmp_path: Path):
+    assert sfmrl("il", *TINY_IL).returncode == 0
+    longer = [*TINY_RL, "--episodes", "8", "--shaping", "geodesic"]
+    for threads in (1, 2):
+        done = sfmrl("rl", *longer, "--threads", threads, "--run", f"run{threads}")
+        assert done.returncode == 0, done.stderr
+        assert "refitting" in done.stderr  # imitation learnt the values without the potential
+    one, two = (load_weights(tmp_path / f"run{threads}" / "weights.pt")[0] for threads in (1, 2))
+    assert torch.equal(one.flat, two.flat)
+    replay = sfmrl("ascii-render", "run2", "--frames", "2")
+    assert replay.returncode == 0, replay.stderr
 
 
 def test_recovery_on_the_maps_by_name_and_an_unsolvable_one_is_called_so(sfmrl: Call):

@@ -291,3 +291,19 @@ def test_a_row_without_a_start_is_absent():
     half = START.copy()
     half[:, 1, 1] = np.nan  # one coordinate is as good as none
     assert np.isnan(Scenes(half, GOAL).start[:, 1]).all()
+
+
+def test_layouts_have_people_clear_of_squares_and_come_in_turn():
+    scenes = sample_scenes("maps", 40, seed=1)
+    assert scenes.environment[0] == "map-u"
+    np.testing.assert_array_equal(scenes.environment[:20], scenes.environment[20:])
+    assert len(set(scenes.environment)) == 20
+    for e in range(40):
+        square = scenes.square[e]
+        walkers = ~square & ~np.isnan(scenes.start[e, :, 0])
+        for places in (scenes.start[e, walkers], scenes.goal[e, walkers]):
+            apart = np.linalg.norm(places[:, None] - scenes.start[e, square], axis=-1)
+            assert apart.min() > 0.72
+        np.testing.assert_allclose(scenes.goal[e, walkers][1:], -scenes.start[e, walkers][1:])
+    again = sample_scenes("map-room", [12], seed=1)
+    np.testing.assert_array_equal(again.start[0, : len(again.start[0])], scenes.start[12, : again.start.shape[1]])
