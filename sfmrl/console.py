@@ -82,9 +82,11 @@ def print_sweep(rows: list[dict[str, Any]], title: str) -> None:
 
 def _print_many(rows: dict[str, dict[str, Any]], first: str, title: str) -> None:
     """A line a row, with the interval of success alone."""
-    table = Table(title=Text(title), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table = Table(
+        title=Text(title), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False
+    )
     table.add_column(first, no_wrap=True)
-    for heading in ("success", "95 %", "collision", "time-out", "nav. time", "total reward"):
+    for heading in ("success", "95 %", "collision", "time-out", "nav. time", "total\nreward"):
         table.add_column(heading, justify="right")
     for name, row in rows.items():
         low, high = row["intervals"]["success"]
