@@ -10,7 +10,7 @@ from typing import Any
 __version__ = "0.1.0"
 
 _HOME = {
-    "config": ("Config", "ConfigError", "Reinforcement", "Imitation", "Reward", "Simulation", "SocialForce"),
+    "config": ("Config", "ConfigError", "Reinforcement", "Imitation", "Planner", "Reward", "Simulation", "SocialForce"),
     "variants": ("make_config",),
     "sfm": ("goal_force", "repulsive_forces", "resultant", "sfm_velocities"),
     "orca": ("orca_velocities",),
