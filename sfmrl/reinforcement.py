@@ -203,8 +203,8 @@ def same_task(one: Config, other: Config) -> bool:
     """Whether a network fitted under one config is what the other would have fitted to the same demonstrations."""
     return all(
         getattr(one, name) == getattr(other, name)
-        for name in ("forces", "precision", "discount", "value_prior", "shaping", "planner", "reward", "imitation")
-    )
+        for name in ("forces", "precision", "discount", "value_prior", "shaping", "reward", "imitation")
+    ) and (one.shaping == "none" or one.planner == other.planner)
 
 
 def due(learner: Learner, settings: Reinforcement) -> bool:

@@ -96,11 +96,14 @@ def _parse(text: str) -> Sweep:
     if setting in WORDS:
         return Sweep(setting, tuple(word.strip() for word in values.split(",")))
     try:
-        if ":" not in values:
-            return Sweep(setting, tuple(float(word) for word in values.split(",")))
-        first, last, step = map(float, values.split(":"))
+        numbers = [float(word) for word in values.split(":" if ":" in values else ",")]
+        if not np.isfinite(numbers).all() or (":" in values and len(numbers) != 3):
+            raise ValueError
     except ValueError:
         raise ConfigError(f"--sweep {text}: the values are first:last:step or a list, as in {example}") from None
+    if ":" not in values:
+        return Sweep(setting, tuple(numbers))
+    first, last, step = numbers
     if not step > 0 or not 0 <= (last - first) / step < MOST:
         raise ConfigError(f"--sweep {text}: the step must lead from the first to the last value within {MOST} steps")
     count = int((last - first) / step + 1e-9) + 1
