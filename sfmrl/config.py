@@ -172,6 +172,7 @@ class Reinforcement(_Checked):
     validation_interval: int = knob(1000, "episodes between validations", least=1)
     validation_episodes: int = knob(100, "episodes of a validation", least=1)
     test_episodes: int = knob(500, "episodes of the final test", least=1)
+    test_best: bool = knob(False, "test the weights of the best validation as well as the last")
 
 
 @dataclass(frozen=True)

@@ -86,12 +86,14 @@ def metrics(record: Record, policy: Policy | None = None) -> dict[str, Any]:
 
 
 def episode_rows(record: Record) -> list[dict[str, Any]]:
-    """A row of plain values for each episode, for a CSV file."""
+    """A row of plain values for each episode, for a CSV file; `hit` is what a collision was with: human or square."""
+    hit = collided_with(record)
     return [
         {
             "episode": int(record.scenes.episode[e]),
             "environment": str(record.scenes.environment[e]),
             "outcome": str(record.outcome[e]),
+            "hit": str(hit[e]),
             "steps": int(record.steps[e]),
             "time": float(record.time[e]),
             "total_reward": float(record.discounted_return[e]),
@@ -99,6 +101,14 @@ def episode_rows(record: Record) -> list[dict[str, Any]]:
         }
         for e in range(len(record.steps))
     ]
+
+
+def collided_with(record: Record) -> np.ndarray:
+    """What the robot ran into in each episode, (E,): "human", "square", or "" where it did not collide."""
+    episode = np.arange(len(record.steps))
+    nearest = record.transition.separations[episode, record.steps - 1].argmin(axis=1)
+    struck = np.where(record.scenes.square[episode, 1 + nearest], "square", "human")
+    return np.where(record.outcome == "collision", struck, "")
 
 
 def sweep_rows(policy: Policy, sweeps: Sequence[Sweep], **how: Any) -> list[dict[str, Any]]:

@@ -18,14 +18,13 @@ from sfmrl.learning import Fit, torch_threads
 from sfmrl.lookahead import step_discount
 from sfmrl.memory import Memory
 from sfmrl.network import ValueNetwork, new_network
-from sfmrl.policies import WEIGHTS, orca_policy
+from sfmrl.policies import orca_policy
 from sfmrl.progress import Progress
 from sfmrl.rewards import Transition, reward_terms
 from sfmrl.runs import Run
 from sfmrl.scenarios import Scenes, elements_of, generator, sample_scenes
 from sfmrl.states import OWN, column_names
 from sfmrl.stopping import Interrupted, StopSignal
-from sfmrl.weights import save_weights
 
 DEMONSTRATIONS = "demonstrations.npz"
 
@@ -53,7 +52,7 @@ def imitate(run: Run, progress: Progress, stop: StopSignal, *, threads: int = 1,
 
     run.write_table("metrics.csv", rows)
     fit_memory(fit, memory, progress, keep, threads)
-    save_weights(fit.network, config, run.folder / WEIGHTS)
+    run.finish(fit.network)
     return fit.network
 
 

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from sfmrl.config import Config, ConfigError, Reinforcement
-from sfmrl.evaluation import episode_rows, evaluate
+from sfmrl.episodes import Record
+from sfmrl.evaluation import episode_rows, evaluation_record, metrics
 from sfmrl.exploration import Explored, Explorer, remember
 from sfmrl.files import DamagedFile, read_sums
 from sfmrl.imitation import DEMONSTRATIONS, fill_memory, fit_memory, load_demonstrations, make_memory, new_fit
@@ -27,6 +28,7 @@ from sfmrl.states import column_names
 from sfmrl.stopping import Interrupted, StopSignal
 from sfmrl.weights import load_weights, save_weights
 
+BEST = "best.pt"  # the weights of the best validation
 CHECKPOINT_EVERY = 20.0  # seconds between checkpoints; when they are taken changes no number
 EVALUATION_SEED = 0  # validation and test are the same episodes for every training seed, so that runs compare in pairs
 VALIDATED = ("success", "collision", "timeout", "navigation_time", "total_reward")
@@ -51,8 +53,8 @@ def reinforce(
     run.write_table("validation.csv", learner.validations)
     alone = SarlPolicy(learner.tested, config, threads)
 
-    def test(phase: str, episodes: int, policy: Policy = alone) -> dict[str, Any]:
-        return evaluate(
+    def play(phase: str, episodes: int, policy: Policy = alone) -> Record:
+        return evaluation_record(
             policy,
             environment=settings.test_environment,
             episodes=episodes,
@@ -66,8 +68,10 @@ def reinforce(
     with Explorer(config, threads - aside, aside) as explorer:
         while True:
             if due(learner, settings):
-                rates = test("validation", settings.validation_episodes)
+                rates = metrics(play("validation", settings.validation_episodes))
                 row = {"episode": learner.episode} | {name: rates[name] for name in VALIDATED}
+                if row["success"] >= max((old["success"] for old in learner.validations), default=0.0):
+                    save_weights(learner.tested, config, run.folder / BEST)
                 learner.validations.append(row)
                 run.append_rows("validation.csv", [row])
                 say(f"validation at {learner.episode} of {settings.episodes}: {summary(rates)}")
@@ -75,11 +79,21 @@ def reinforce(
                 break
             train_stretch(run, learner, explorer, progress, stop, 1 if aside else threads)
     run.save_checkpoint(learner.state_dict())
-    result = test("test", settings.test_episodes)
+    record = play("test", settings.test_episodes)
+    result = metrics(record)
+    run.write_table("test.csv", episode_rows(record))
     if config.planner.recover:
-        result["with_recovery"] = test("test", settings.test_episodes, with_recovery(alone, config.planner))
+        recovering = with_recovery(alone, config.planner)
+        result["with_recovery"] = metrics(play("test", settings.test_episodes, recovering), recovering)
+    if settings.test_best:
+        best = best_validation(learner.validations)
+        if best["episode"] != learner.episode:
+            network, _ = load_weights(run.folder / BEST)
+            record = play("test", settings.test_episodes, SarlPolicy(network.to(device), config, threads))
+        run.write_table("test-best.csv", episode_rows(record))
+        result["best_validation"] = {"episode": best["episode"]} | metrics(record)
     run.write_json("result.json", result)
-    save_weights(learner.tested, config, run.folder / WEIGHTS)
+    run.finish(learner.tested)
     return result
 
 
@@ -205,6 +219,11 @@ def same_task(one: Config, other: Config) -> bool:
         getattr(one, name) == getattr(other, name)
         for name in ("forces", "precision", "discount", "value_prior", "shaping", "reward", "imitation")
     ) and (one.shaping == "none" or one.planner == other.planner)
+
+
+def best_validation(validations: list[dict[str, Any]]) -> dict[str, Any]:
+    """The validation with the highest success; of several, the last."""
+    return max(validations, key=lambda row: (row["success"], row["episode"]))
 
 
 def due(learner: Learner, settings: Reinforcement) -> bool:

@@ -3,8 +3,9 @@
     config.json        every setting                    metrics.csv      a line an epoch, or an episode
     run.json           kind, command, versions          validation.csv   rates during the training
     checkpoint-N.pt    all that resuming needs          weights.pt       the trained network, when done
-    demonstrations.npz what imitation learnt from       result.json      the final test
-    SHA256SUMS         digests of what is read back
+    demonstrations.npz what imitation learnt from       best.pt          the network of the best validation
+    SHA256SUMS         digests of what is read back     test.csv         a line an episode of the final test
+                                                        result.json      the final test's metrics
 
 A killed run goes on from its newest checkpoint to the same bits as one that was never stopped.
 """
@@ -30,11 +31,12 @@ import torch
 from sfmrl import __version__
 from sfmrl.config import Config, ConfigError
 from sfmrl.files import DamagedFile, csv_text, read_checked, remove_checked, write_atomically
-from sfmrl.network import resolved
+from sfmrl.network import ValueNetwork, resolved
 from sfmrl.policies import WEIGHTS
 from sfmrl.rewards import reward_digest, reward_terms
 from sfmrl.scenarios import parse_mix
 from sfmrl.variants import variant_name
+from sfmrl.weights import save_weights
 
 RUNS = Path("runs")
 KINDS = ("il", "rl")
@@ -70,6 +72,11 @@ class Run:
     def checkpoints(self) -> list[Path]:
         """The checkpoint files, oldest first."""
         return sorted(self.folder.glob("checkpoint-" + "[0-9]" * 6 + ".pt"))
+
+    def finish(self, network: ValueNetwork) -> None:
+        """Keep the trained network: the run has come to its end, and needs its checkpoints no more."""
+        save_weights(network, self.config, self.folder / WEIGHTS)
+        remove_checked(self.checkpoints())
 
     def load_checkpoint(self) -> dict[str, Any] | None:
         """The newest checkpoint's state, None where there is none yet; raises DamagedFile with the way out."""

@@ -78,6 +78,7 @@ def test_rows_for_a_csv_file():
         "episode": 7,
         "environment": "1",
         "outcome": "success",
+        "hit": "",
         "steps": 2,
         "time": 0.5,
         "total_reward": 0.5,
@@ -85,9 +86,9 @@ def test_rows_for_a_csv_file():
     }
     assert rows[2]["smallest_separation"] == -0.1
     lines = csv_text(rows).splitlines()
-    assert lines[0] == "episode,environment,outcome,steps,time,total_reward,smallest_separation"
+    assert lines[0] == "episode,environment,outcome,hit,steps,time,total_reward,smallest_separation"
     assert len(lines) == 5
-    assert csv_text(rows[:1], header=False).startswith("7,1,success,2,0.5,0.5,")
+    assert csv_text(rows[:1], header=False).startswith("7,1,success,,2,0.5,0.5,")
 
 
 @pytest.mark.parametrize("mix", ["table1", "table2"])
