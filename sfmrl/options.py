@@ -1,15 +1,17 @@
-"""Command-line options made from the config's knobs: each default and help text is written once, in `config.py`."""
+"""Command-line options: those made from the config's knobs, whose defaults and help texts are written once, in
+`config.py`, and those that several commands share."""
 
 import inspect
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from functools import wraps
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from sfmrl.config import Config
-from sfmrl.variants import PRESETS, make_config
+from sfmrl.variants import MIXES, PRESETS, VARIANTS, make_config
 
 # The sections of the config by the heading under which `--help` shows their knobs.
 TITLES = {
@@ -23,6 +25,26 @@ TITLES = {
 
 
 DEFAULTS = {preset: make_config(preset) for preset in PRESETS}
+
+
+def option(help: str, *flags: str, **extra: Any) -> Any:
+    """A Typer option whose help text says all there is to say of its default."""
+    return typer.Option(*flags, help=help, show_default=False, **extra)
+
+
+Threads = Annotated[int | None, option("threads to use (default one a core)", min=1)]
+Device = Annotated[str, option("torch device: cpu, cuda, ... (default cpu)")]
+RunFolder = Annotated[Path | None, option("run folder to make (default a new one under runs/)")]
+Resume = Annotated[Path | None, option("go on with this run, to the same bits as if it had never stopped")]
+Overwrite = Annotated[bool, option("replace what is there already", "--overwrite")]
+Variant = Annotated[str | None, option(f"the paper's variant: {', '.join(VARIANTS)} (default sarl)")]
+PolicyName = Annotated[
+    str | None, typer.Argument(help="linear, orca, sfm, a run folder or a weights file (default the newest run)")
+]
+Environment = Annotated[
+    str | None,
+    option(f"1 to 5, circle, circle5, {', '.join(MIXES)} or shares, 1:0.7,2:0.3 (default the policy's test mix)"),
+]
 
 
 def settings_options(*sections: str) -> Callable[[Callable[..., None]], Callable[..., None]]:

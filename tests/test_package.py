@@ -43,7 +43,7 @@ LEVELS = (
     ),
     ("sweeps", "evaluation", "memory", "learning", "learner", "exploration", "runs", "imitation", "reinforcement"),
     ("canvas", "story", "timeline", "panel", "screen", "replay"),
-    ("options", "console", "session", "cli"),
+    ("options", "console", "session", "training_commands", "evaluation_commands", "replay_commands", "cli"),
 )
 ORDER = [name for level in LEVELS for name in level]
 WITH_TORCH = {"network", "weights", "gradients", "memory", "learning", "learner", "exploration", "runs"}

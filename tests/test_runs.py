@@ -42,6 +42,19 @@ def folder(finished, tmp_path) -> Path:
     return Path(shutil.copytree(finished, tmp_path / "run"))
 
 
+@pytest.fixture
+def interrupted(finished, tmp_path) -> Path:
+    """The same run, stopped after each of its three epochs and not taken to its end."""
+    run = create_run("il", TINY, tmp_path / "interrupted")
+    write_atomically(run.folder / DEMONSTRATIONS, lambda file: file.write((finished / DEMONSTRATIONS).read_bytes()))
+    stop = StopSignal()
+    stop.requested = True
+    for _ in range(3):
+        with pytest.raises(Interrupted):
+            imitate(run, no_progress, stop)
+    return run.folder
+
+
 def flip_a_bit(path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 16
@@ -94,7 +107,7 @@ def checked_by_sha256sum(folder: Path) -> bool:
 @pytest.mark.skipif(shutil.which("sha256sum") is None, reason="needs the command sha256sum")
 def test_sha256sum_can_check_a_finished_run_folder(folder):
     assert {"config.json", "run.json", DEMONSTRATIONS, WEIGHTS} <= set(read_sums(folder))
-    assert len(list(folder.glob("checkpoint-*.pt"))) == 2  # of three epochs: the first one's is gone
+    assert not list(folder.glob("checkpoint-*.pt"))  # there is nothing to go on with
     assert checked_by_sha256sum(folder)
     flip_a_bit(folder / WEIGHTS)
     assert not checked_by_sha256sum(folder)
@@ -131,8 +144,9 @@ def test_damaged_demonstrations_are_named(folder):
         imitate(open_run(folder), no_progress, StopSignal())
 
 
-def test_a_damaged_checkpoint_is_named_and_the_one_before_offered(folder):
-    older, newest = open_run(folder).checkpoints()
+def test_a_damaged_checkpoint_is_named_and_the_one_before_offered(interrupted):
+    folder = interrupted
+    older, newest = open_run(folder).checkpoints()  # of three epochs: the first one's is gone
     flip_a_bit(newest)
     with pytest.raises(DamagedFile, match=rf"{newest.name} is damaged.*delete it to go on from {older.name}"):
         open_run(folder).load_checkpoint()
@@ -149,13 +163,12 @@ def test_damaged_sums_are_an_error_too(folder):
         open_run(folder)
 
 
-def test_a_damaged_checkpoint_can_be_gone_around_to_the_same_bits(folder, finished):
-    run = open_run(folder)
-    (folder / WEIGHTS).unlink()
+def test_a_damaged_checkpoint_can_be_gone_around_to_the_same_bits(interrupted, finished):
+    run = open_run(interrupted)
     run.checkpoints()[-1].unlink()
     imitate(run, no_progress, StopSignal())
-    assert (folder / WEIGHTS).read_bytes() == (finished / WEIGHTS).read_bytes()
-    assert (folder / "metrics.csv").read_text() == (finished / "metrics.csv").read_text()
+    assert (run.folder / WEIGHTS).read_bytes() == (finished / WEIGHTS).read_bytes()
+    assert (run.folder / "metrics.csv").read_text() == (finished / "metrics.csv").read_text()
 
 
 def test_stopping_keeps_a_checkpoint_and_raises(tmp_path, finished):

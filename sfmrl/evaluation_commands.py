@@ -1,0 +1,81 @@
+"""The command that tests policies: `sfmrl eval`."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sfmrl.config import ConfigError
+from sfmrl.console import err, print_metrics, print_sweep, replay_command, say, say_result
+from sfmrl.files import csv_text
+from sfmrl.options import Device, Environment, Overwrite, PolicyName, Threads, option, settings_options
+from sfmrl.session import choose
+
+app = typer.Typer()
+
+
+@app.command("eval", epilog="Example: sfmrl eval orca --environment 2 --episodes 100 --csv orca.csv")
+@settings_options("simulation", "reward", "planner")
+def evaluate_command(
+    policy: PolicyName = None,
+    environment: Environment = None,
+    episodes: Annotated[int, option("test episodes (default 500)", min=1)] = 500,
+    seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
+    sweep: Annotated[
+        list[str] | None,
+        option(
+            "vary one thing, and print a row a value: humans=0:20:5, v_pref=0.5:1.5:0.25, radius_noise=0:0.1:0.05, "
+            "crowd=orca,sfm, robot_visible=true,false; can be given several times"
+        ),
+    ] = None,
+    as_json: Annotated[bool, option("print JSON", "--json")] = False,
+    csv: Annotated[Path | None, option("write a line an episode, or a value of a sweep, to this file")] = None,
+    overwrite: Overwrite = False,
+    threads: Threads = None,
+    device: Device = "cpu",
+    *,
+    settings: dict[str, Any],
+) -> None:
+    """Test a policy: success, collisions, time-outs, navigation time, total reward."""
+    from sfmrl.evaluation import episode_rows, evaluation_record, metrics, sweep_rows
+    from sfmrl.progress import show_progress
+    from sfmrl.sweeps import parse_sweep
+
+    sweeps = [parse_sweep(text) for text in sweep or []]
+    if csv and csv.is_dir():
+        raise ConfigError(f"--csv {csv} is a folder; name a file")
+    if csv and csv.exists() and not overwrite:
+        raise ConfigError(f"{csv} is there already; name another --csv, or replace it with --overwrite")
+    if csv and not csv.parent.is_dir():
+        raise ConfigError(f"there is no folder {csv.parent} for --csv {csv.name}")
+    chosen, name, config = choose(policy, settings, threads, device)
+    environment = config.reinforcement.test_environment if environment is None else environment
+    how = {"environment": environment, "episodes": episodes, "seed": seed}
+    how |= {"reward": config.reward, "simulation": config.simulation, "progress": show_progress(err)}
+    title = f"{name}, environment {environment}, {episodes} episodes, seed {seed}"
+    if sweeps:
+        rows = sweep_rows(chosen, sweeps, **how)
+        if csv:
+            csv.write_text(csv_text(rows))
+        if as_json:
+            say_result(json.dumps({"policy": name, "environment": environment, "seed": seed, "rows": rows}, indent=2))
+        else:
+            print_sweep(rows, title)
+        return
+    record = evaluation_record(chosen, **how)
+    result = metrics(record, chosen)
+    if csv:
+        csv.write_text(csv_text(episode_rows(record)))
+    if as_json:
+        say_result(json.dumps({"policy": name, "environment": environment, "seed": seed} | result, indent=2))
+        return
+    print_metrics(result, title)
+    if result["failures"]:
+        failed = [failure["episode"] for failure in result["failures"]]
+        listed = ", ".join(map(str, failed[:12])) + (", ..." if len(failed) > 12 else "")
+        see = replay_command(policy, environment, seed, failed[0], settings)
+        say(f"{len(failed)} episodes ({listed}) failed; see one: {see}")
+        no_way = [str(failure["episode"]) for failure in result["failures"] if not failure["solvable"]]
+        if no_way:
+            say(f"unsolvable, the squares leave no way to the goal: {', '.join(no_way[:12])}")

@@ -1,0 +1,89 @@
+"""The commands that train: `sfmrl il`, `sfmrl rl`."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sfmrl.config import Config, ConfigError
+from sfmrl.console import print_metrics, say
+from sfmrl.options import Device, Overwrite, Resume, RunFolder, Threads, Variant, option, settings_options
+from sfmrl.session import new_config, reopen, train, usable, use_threads
+
+app = typer.Typer()
+
+
+@app.command(epilog="Example: sfmrl il --preset paper --seed 1")
+@settings_options("", "simulation", "reward", "planner", "imitation")
+def il(
+    variant: Variant = None,
+    run: RunFolder = None,
+    resume: Resume = None,
+    overwrite: Overwrite = False,
+    threads: Threads = None,
+    device: Device = "cpu",
+    *,
+    settings: dict[str, Any],
+) -> None:
+    """Imitation: learn from ORCA's demonstrations what situations are worth."""
+    from sfmrl.imitation import imitate
+    from sfmrl.runs import create_run
+
+    workers = use_threads(threads)
+    device = usable(device)
+    if resume:
+        current = reopen("il", resume, [variant, run, overwrite or None, *settings.values()])
+    else:
+        current = create_run("il", new_config(variant, settings), run, overwrite=overwrite)
+    train(current, lambda progress, stop: imitate(current, progress, stop, threads=workers, device=device))
+    plain, config = Config(), current.config
+    flags = "".join(
+        f" --{name} {getattr(config, name)}"
+        for name in ("preset", "seed")
+        if getattr(config, name) != getattr(plain, name)
+    )
+    say(f"done: {current.folder}; next: sfmrl rl --reward sfm{flags}, or sfmrl eval {current.folder}")
+
+
+@app.command(epilog="Example: sfmrl rl --reward sfm --episodes 3000")
+@settings_options("", "simulation", "reward", "planner", "reinforcement")
+def rl(
+    variant: Variant = None,
+    source: Annotated[
+        Path | None, option("imitation run to start from (default the newest that fits)", "--from")
+    ] = None,
+    from_scratch: Annotated[bool, option("start without imitation", "--from-scratch")] = False,
+    run: RunFolder = None,
+    resume: Resume = None,
+    overwrite: Overwrite = False,
+    threads: Threads = None,
+    device: Device = "cpu",
+    *,
+    settings: dict[str, Any],
+) -> None:
+    """Reinforcement: deep V-learning on from what imitation gave, then a test."""
+    from sfmrl.reinforcement import reinforce, start_run
+
+    workers = use_threads(threads)
+    device = usable(device)
+    if resume:
+        current = reopen(
+            "rl", resume, [variant, source, from_scratch or None, run, overwrite or None, *settings.values()]
+        )
+    else:
+        if source and from_scratch:
+            raise ConfigError("--from and --from-scratch exclude each other")
+        schedule = settings.get("reinforcement", {})
+        if "environment" in schedule:
+            schedule.setdefault("test_environment", schedule["environment"])
+        current = start_run(new_config(variant, settings), source, from_scratch, run, overwrite)
+    if current.imitation:
+        say(f"from imitation run {current.imitation}")
+    result = train(
+        current, lambda progress, stop: reinforce(current, progress, stop, say, threads=workers, device=device)
+    )
+    title = f"{current.folder}, environment {current.config.reinforcement.test_environment}"
+    print_metrics(result, f"test of {title}, the network alone")
+    if "with_recovery" in result:
+        print_metrics(result["with_recovery"], f"test of {title}")
+    say(f"done: {current.folder}; next: sfmrl eval, sfmrl ascii-render")
