@@ -15,7 +15,7 @@ import sfmrl
 
 # The house from the ground up: a file imports only from those before it.
 LEVELS = (
-    ("config", "variants", "geometry", "vectors", "files", "progress", "stopping"),
+    ("config", "variants", "geometry", "vectors", "files", "progress", "stopping", "intervals"),
     (
         "linear_programs",
         "polygons",
