@@ -6,8 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sfmrl.config import ConfigError
-from sfmrl.console import err, print_metrics, print_sweep, replay_command, say, say_result
+from sfmrl.console import err, new_file, print_metrics, print_sweep, replay_command, say, say_result
 from sfmrl.files import csv_text
 from sfmrl.options import Device, Environment, Overwrite, PolicyName, Threads, option, settings_options
 from sfmrl.session import choose
@@ -43,12 +42,7 @@ def evaluate_command(
     from sfmrl.sweeps import parse_sweep
 
     sweeps = [parse_sweep(text) for text in sweep or []]
-    if csv and csv.is_dir():
-        raise ConfigError(f"--csv {csv} is a folder; name a file")
-    if csv and csv.exists() and not overwrite:
-        raise ConfigError(f"{csv} is there already; name another --csv, or replace it with --overwrite")
-    if csv and not csv.parent.is_dir():
-        raise ConfigError(f"there is no folder {csv.parent} for --csv {csv.name}")
+    new_file(csv, "csv", overwrite)
     chosen, name, config = choose(policy, settings, threads, device)
     environment = config.reinforcement.test_environment if environment is None else environment
     how = {"environment": environment, "episodes": episodes, "seed": seed}

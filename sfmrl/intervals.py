@@ -32,7 +32,7 @@ def mean_interval(values: np.ndarray, rng: np.random.Generator, level: float = 0
     if len(values) < 2:
         return math.nan, math.nan
     means = values[rng.integers(len(values), size=(RESAMPLES, len(values)))].mean(axis=1)
-    return _percentiles(means, level)
+    return percentiles(means, level)
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def paired_difference(one: np.ndarray, other: np.ndarray, rng: np.random.Generat
     means = np.concatenate([_resampled(gaps, rng, min(CHUNK, RESAMPLES - at)) for at in range(0, RESAMPLES, CHUNK)])
     below, above = (means <= 0).sum(), (means >= 0).sum()
     p = min(1.0, 2 * (1 + min(below, above)) / (1 + RESAMPLES))
-    return Difference(float(gaps.mean()), *_percentiles(means, level), float(p))
+    return Difference(float(gaps.mean()), *percentiles(means, level), float(p))
 
 
 def _resampled(gaps: np.ndarray, rng: np.random.Generator, count: int) -> np.ndarray:
@@ -75,8 +75,8 @@ def holm(p_values: np.ndarray) -> np.ndarray:
     return result
 
 
-def one_more_run(rates: np.ndarray, trials: int, rng: np.random.Generator, level: float = 0.95) -> tuple[float, float]:
-    """Between which rates one more training run would be found, in a test of `trials` episodes.
+def new_runs(rates: np.ndarray, trials: int, rng: np.random.Generator) -> np.ndarray:
+    """Which rates further training runs would be found at, in a test of `trials` episodes: (RESAMPLES,) draws.
 
     `rates` (S,) are those of S >= 2 training seeds. A new seed's rate is a mean of resampled seeds plus one seed's
     departure from the mean (widened by sqrt(S / (S - 1)), as the S departures share their mean); its successes are
@@ -87,9 +87,10 @@ def one_more_run(rates: np.ndarray, trials: int, rng: np.random.Generator, level
     means = rates[rng.integers(seeds, size=(RESAMPLES, seeds))].mean(axis=1)
     departures = (rates - rates.mean()) * math.sqrt(seeds / (seeds - 1))
     new = np.clip(means + departures[rng.integers(seeds, size=RESAMPLES)], 0, 1)
-    return _percentiles(rng.binomial(trials, new) / trials, level)
+    return rng.binomial(trials, new) / trials
 
 
-def _percentiles(values: np.ndarray, level: float) -> tuple[float, float]:
+def percentiles(values: np.ndarray, level: float = 0.95) -> tuple[float, float]:
+    """The interval that holds the middle `level` of values (n,)."""
     low, high = np.quantile(values, [(1 - level) / 2, (1 + level) / 2])
     return float(low), float(high)

@@ -1,0 +1,178 @@
+"""A table's findings for people and programs: sheets for the terminal and for Markdown, lines for CSV."""
+
+from dataclasses import dataclass
+from typing import Any
+
+PAPERS = ("success", "navigation_time", "total_reward")  # metrics that the paper reports under the same name
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table of texts; the first column's are names."""
+
+    title: str
+    headings: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+
+    def markdown(self) -> str:
+        """As Markdown."""
+        lines = [self.headings, ("---",) + ("---:",) * (len(self.headings) - 1), *self.rows]
+        body = "\n".join(f"| {' | '.join(line)} |".replace("\n", " ") for line in lines)
+        return f"{self.title}\n\n{body}\n"
+
+
+def sheets(found: list[dict[str, Any]], contrasts: list[dict[str, Any]], title: str) -> list[Sheet]:
+    """The findings in sheets of up to 80 columns: rates, every seed's, differences from SARL, and what causes them."""
+    made = [
+        Sheet(
+            f"{title}; 95 % intervals over seeds",
+            (
+                "row",
+                "paper",
+                "success",
+                "people +\nsquares",
+                "time-out",
+                "nav.\ntime",
+                "total\nreward",
+                "the paper\nis",
+            ),
+            [_rates(row) for row in found],
+        ),
+        Sheet(
+            "Every seed's success; Wilson: what the test episodes alone leave open",
+            ("row", "sd", "Wilson", "seeds " + _seeds(found)),
+            [_points(row) for row in found],
+        ),
+        Sheet(
+            "Best validation; time with time-outs as 25 s; until validation success 0.9",
+            ("row", "best", "time, s", "episodes", "steps", "runs"),
+            [_course(row) for row in found],
+        ),
+    ]
+    compared = [row for row in found if row["difference"]]
+    if compared:
+        heads = ("row", "success\nless SARL's", "95 %", "p", "p (Holm)", "paper", "the paper is")
+        made.append(Sheet("Differences from SARL on the same episodes", heads, [_difference(row) for row in compared]))
+    if contrasts:
+        heads = ("what changes", *(heading for heading, _, _ in CONTRAST_COLUMNS))
+        names = list(dict.fromkeys(c["of"] for c in contrasts))
+        made.append(
+            Sheet(
+                "What the two ingredients change, each with and without the other",
+                heads,
+                [_contrast(n, contrasts) for n in names],
+            )
+        )
+    return made
+
+
+def _seeds(found: list[dict[str, Any]]) -> str:
+    every = sorted({seed for row in found for seed in row["seeds"]})
+    runs = every == list(range(every[0], every[-1] + 1))
+    return f"{every[0]}-{every[-1]}" if runs and len(every) > 1 else ", ".join(map(str, every))
+
+
+def rate(value: float | None) -> str:
+    """A rate to three digits, without its 0."""
+    if value is None:
+        return "-"
+    text = f"{value:.3f}"
+    return text[1:] if text.startswith("0") else "-" + text[2:] if text.startswith("-0") else text
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _between(low: float | None, high: float | None, form: Any = rate) -> str:
+    return "-" if low is None else f"{form(low)} to {form(high)}"
+
+
+def _with_interval(figure: dict[str, Any]) -> str:
+    interval = "" if figure["low"] is None else f" {rate(figure['low'])}-{rate(figure['high'])}"
+    return rate(figure["mean"]) + interval
+
+
+def _rates(row: dict[str, Any]) -> tuple[str, ...]:
+    mean = {name: figure["mean"] for name, figure in row["figures"].items()}
+    success = row["figures"]["success"]
+    return (
+        row["row"],
+        "/".join(rate(value).removesuffix("0") for value in row["paper"]["success"]),
+        _with_interval(success),
+        f"{rate(mean['human_collision'])}+{rate(mean['square_collision'])}",
+        rate(mean["timeout"]),
+        _number(mean["navigation_time"], ".2f"),
+        _number(mean["total_reward"], ".3f"),
+        row["verdict"],
+    )
+
+
+def _points(row: dict[str, Any]) -> tuple[str, ...]:
+    low, high = row["wilson_of_mean"]
+    success = row["figures"]["success"]
+    return row["row"], rate(success["deviation"]), f"{rate(low)}-{rate(high)}", " ".join(map(rate, success["values"]))
+
+
+def _course(row: dict[str, Any]) -> tuple[str, ...]:
+    figures = row["figures"]
+    best, episodes = figures["best_success"], figures["reached_episodes"]
+    return (
+        row["row"],
+        _with_interval(best),
+        _number(figures["navigation_time_charged"]["mean"], ".2f"),
+        _number(episodes["mean"], ".0f"),
+        _number(figures["reached_steps"]["mean"], ",.0f"),
+        f"{sum(value is not None for value in episodes['values'])} of {len(episodes['values'])}",
+    )
+
+
+def _difference(row: dict[str, Any]) -> tuple[str, ...]:
+    found = row["difference"]
+    numbers = rate(found["mean"]), _between(found["low"], found["high"]), f"{found['p']:.3f}", f"{found['p_holm']:.3f}"
+    return row["row"], *numbers, rate(found["paper"]), found["verdict"]
+
+
+CONTRAST_COLUMNS = (
+    ("success", "success", rate),
+    ("early\nvalidation", "early_success", rate),
+    ("early\ntraining", "early_training_success", rate),
+    ("drops", "drops", rate),
+    ("nav. time", "navigation_time", lambda value: f"{value:.2f}"),
+)
+
+
+def _contrast(name: str, contrasts: list[dict[str, Any]]) -> tuple[str, ...]:
+    of = {c["in"]: c for c in contrasts if c["of"] == name}
+    cells = []
+    for _, metric, form in CONTRAST_COLUMNS:
+        found = of[metric]
+        cells.append(f"{form(found['mean'])}\n{_between(found['low'], found['high'], form)}")
+    return name, *cells
+
+
+def csv_rows(found: list[dict[str, Any]], contrasts: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A line a figure: of every seed, and (seed "all") the mean with its interval and the paper's."""
+    lines = []
+
+    def line(row: str, metric: str, seed: Any, value: Any, **more: Any) -> None:
+        empty = dict.fromkeys(("low", "high", "paper", "p_holm"), "")
+        lines.append({"row": row, "metric": metric, "seed": seed, "value": value} | empty | more)
+
+    for row in found:
+        for metric, figure in row["figures"].items():
+            paper = "/".join(map(str, row["paper"][metric])) if metric in PAPERS else ""
+            line(row["row"], metric, "all", figure["mean"], low=figure["low"], high=figure["high"], paper=paper)
+            for seed, value in zip(row["seeds"], figure["values"], strict=True):
+                line(row["row"], metric, seed, value)
+        for seed, (low, high), value in zip(
+            row["seeds"], row["wilson"], row["figures"]["success"]["values"], strict=True
+        ):
+            line(row["row"], "success_wilson", seed, value, low=low, high=high)
+        if row["difference"]:
+            gap = {name: row["difference"][name] for name in ("low", "high", "paper", "p_holm")}
+            line(row["row"], "success_less_sarl", "all", row["difference"]["mean"], **gap)
+    for contrast in contrasts:
+        gap = {name: contrast[name] for name in ("low", "high")}
+        line(contrast["of"], f"{contrast['in']}_difference", "all", contrast["mean"], **gap)
+    return lines
