@@ -80,6 +80,11 @@ def rate(value: float | None) -> str:
     return text[1:] if text.startswith("0") else "-" + text[2:] if text.startswith("-0") else text
 
 
+def p_value(p: float) -> str:
+    """A p-value to three digits."""
+    return "<.001" if p < 0.001 else rate(p)
+
+
 def _number(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
@@ -129,7 +134,7 @@ def _course(row: dict[str, Any]) -> tuple[str, ...]:
 
 def _difference(row: dict[str, Any]) -> tuple[str, ...]:
     found = row["difference"]
-    numbers = rate(found["mean"]), _between(found["low"], found["high"]), f"{found['p']:.3f}", f"{found['p_holm']:.3f}"
+    numbers = rate(found["mean"]), _between(found["low"], found["high"]), p_value(found["p"]), p_value(found["p_holm"])
     return row["row"], *numbers, rate(found["paper"]), found["verdict"]
 
 
@@ -176,3 +181,28 @@ def csv_rows(found: list[dict[str, Any]], contrasts: list[dict[str, Any]]) -> li
         gap = {name: contrast[name] for name in ("low", "high")}
         line(contrast["of"], f"{contrast['in']}_difference", "all", contrast["mean"], **gap)
     return lines
+
+
+def model_sheets(cards: dict[str, dict[str, Any]]) -> list[Sheet]:
+    """Model cards in a list; one alone in full."""
+    if len(cards) == 1:
+        (card,) = cards.values()
+        lines = [(name, value if isinstance(value, str) else _plain_text(value)) for name, value in card.items()]
+        return [Sheet(f"Model {card['name']}", ("", ""), lines)]
+    heads = ("model", "preset", "seed", "tested on", "success alone", "with recovery", "nav.\ntime")
+    rows = []
+    for name, card in cards.items():
+        alone, helped = card["alone"], card["with_recovery"]
+        rates = (f"{rate(t['success'])} {'-'.join(map(rate, t['interval']))}" for t in (alone, helped))
+        time = f"{helped['navigation_time']:.2f}"
+        rows.append((name, card["preset"], str(card["seed"]), card["environment"], *rates, time))
+    return [Sheet("Models that come with sfmrl; 95 % Wilson intervals", heads, rows)]
+
+
+def _plain_text(value: Any) -> str:
+    """A card's value in a line or several."""
+    if isinstance(value, dict):
+        return "\n".join(f"{name} {_plain_text(inner)}" for name, inner in value.items())
+    if isinstance(value, list):
+        return ("\n" if any(isinstance(item, str) for item in value) else " to ").join(map(_plain_text, value))
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -27,6 +27,7 @@ LEVELS = (
         "network",
         "weights",
         "gradients",
+        "models",
     ),
     (
         "layouts",
@@ -42,7 +43,7 @@ LEVELS = (
         "episodes",
     ),
     ("sweeps", "evaluation", "memory", "learning", "learner", "exploration", "runs", "imitation", "reinforcement"),
-    ("tables", "results", "findings", "reports", "campaign", "cluster"),
+    ("tables", "results", "findings", "reports", "comparison", "campaign", "cluster"),
     ("canvas", "story", "timeline", "panel", "screen", "replay", "curves"),
     (
         "options",
@@ -58,6 +59,7 @@ LEVELS = (
 ORDER = [name for level in LEVELS for name in level]
 WITH_TORCH = {"network", "weights", "gradients", "memory", "learning", "learner", "exploration", "runs"}
 PACKAGE = sorted((ROOT / "sfmrl").glob("*.py"))
+MODELS = sorted((ROOT / "sfmrl" / "models").iterdir())
 FILES = [path for path in PACKAGE if path.stem not in ("__init__", "__main__")]
 
 
@@ -76,7 +78,9 @@ def imports(path: Path, top_only: bool = False) -> set[str]:
 
 
 def test_the_package_is_flat_and_every_file_has_its_place():
-    assert [path.name for path in (ROOT / "sfmrl").iterdir() if path.is_dir() and path.name != "__pycache__"] == []
+    folders = {path.name for path in (ROOT / "sfmrl").iterdir() if path.is_dir()}
+    assert folders - {"__pycache__"} == {"models"}  # trained networks and their cards: data, no code
+    assert {path.suffix for path in MODELS} == {".json", ".pt"}
     assert {path.stem for path in FILES} == set(ORDER)
     assert len(ORDER) == len(set(ORDER))
 
@@ -133,7 +137,8 @@ def test_the_wheel_holds_sfmrl_alone_and_asks_for_four_packages(tmp_path):
         lines = archive.read(metadata).decode().splitlines()
     places = {name.partition("/")[0] for name in names}
     assert places == {"sfmrl", metadata.partition("/")[0]}
-    assert {name for name in names if name.startswith("sfmrl/")} == {f"sfmrl/{path.name}" for path in PACKAGE}
+    inner = {f"sfmrl/{path.relative_to(ROOT / 'sfmrl')}" for path in (*PACKAGE, *MODELS)}
+    assert {name for name in names if name.startswith("sfmrl/")} == inner
     assert f"Version: {sfmrl.__version__}" in lines
     needed = [line.removeprefix("Requires-Dist: ") for line in lines if line.startswith("Requires-Dist: ")]
     assert {name.partition(">")[0] for name in needed if "extra ==" not in name} == {"numpy", "torch", "typer", "rich"}
