@@ -7,14 +7,14 @@ from rich.text import Text
 
 from sfmrl.canvas import Canvas, View, fitted
 from sfmrl.intervals import mean_interval
-from sfmrl.results import Tested
+from sfmrl.results import Trained
 
 LINE, BAND = "bold cyan", "grey50"
 AXIS = 5  # columns before a panel's plot
 APART = 2  # columns between panels
 
 
-def curve_rows(rows: dict[str, Tested]) -> list[dict[str, Any]]:
+def curve_rows(rows: dict[str, Trained]) -> list[dict[str, Any]]:
     """A line for each validation of each row: mean over seeds, its 95 % interval, every seed's success."""
     lines = []
     for name, tested in rows.items():

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sfmrl.intervals import holm, mean_interval, new_runs, paired_difference, percentiles, wilson
-from sfmrl.results import Tested
+from sfmrl.results import Trained
 from sfmrl.tables import Table
 
 TIME_CHARGED = 25.0  # s, what a time-out costs in the navigation time that counts them
@@ -16,7 +16,7 @@ SEEDS_NEEDED = 3  # fewer say nothing of their spread
 WIDEST = 0.1  # an expected range of success wider than this excludes nothing of interest
 
 
-def figures(tested: Tested) -> dict[str, np.ndarray]:
+def figures(tested: Trained) -> dict[str, np.ndarray]:
     """The metrics of every seed by name, each (S,); NaN where there is nothing to take a mean of.
 
     Success and the three that follow add up to 1. `navigation_time` is over successes, as in the paper; with
@@ -49,7 +49,7 @@ def _mean_where(values: np.ndarray, where: np.ndarray) -> np.ndarray:
     return np.divide((values * where).sum(axis=1), count, out=np.full(len(values), np.nan), where=count > 0)
 
 
-def summarise(table: Table, rows: dict[str, Tested]) -> list[dict[str, Any]]:
+def summarise(table: Table, rows: dict[str, Trained]) -> list[dict[str, Any]]:
     """A row's name, the paper's figures and ours; plain values, ready for JSON, None where there is none."""
     found = []
     for name, tested in rows.items():
@@ -105,7 +105,7 @@ def _judge(low: float, high: float, reported: tuple[float, ...]) -> str:
     return "inconsistent"
 
 
-def _from_sarl(table: Table, name: str, rows: dict[str, Tested], rng: np.random.Generator) -> dict[str, Any]:
+def _from_sarl(table: Table, name: str, rows: dict[str, Trained], rng: np.random.Generator) -> dict[str, Any]:
     """The success that a row has over SARL, on the same episodes and seeds; nothing for SARL itself."""
     nothing = {"difference": None}
     if name == "sarl" or "sarl" not in rows:
@@ -134,7 +134,7 @@ CONTRASTS = {
 CONTRASTED = ("success", "early_success", "early_training_success", "drops", "reached_episodes", "navigation_time")
 
 
-def contrasts(rows: dict[str, Tested]) -> list[dict[str, Any]]:
+def contrasts(rows: dict[str, Trained]) -> list[dict[str, Any]]:
     """What forces in the state and the SFM reward change, with intervals over the seeds that all their rows have."""
     found = []
     for what, pairs in CONTRASTS.items():
@@ -151,5 +151,5 @@ def contrasts(rows: dict[str, Tested]) -> list[dict[str, Any]]:
     return found
 
 
-def _of(values: dict, rows: dict[str, Tested], name: str, metric: str, seeds: list[int]) -> np.ndarray:
+def _of(values: dict, rows: dict[str, Trained], name: str, metric: str, seeds: list[int]) -> np.ndarray:
     return values[name][metric][[rows[name].seeds.index(seed) for seed in seeds]]

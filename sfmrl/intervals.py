@@ -51,7 +51,7 @@ def paired_difference(one: np.ndarray, other: np.ndarray, rng: np.random.Generat
     Seeds and then episodes are drawn with replacement, the same of both, so that all that seeds share with each other
     (the episodes) and policies share with each other (seed's demonstrations, episodes) is kept (Owen, 2007). What is
     chance in a single episode of a single seed is counted up to three times over: the interval errs on the wide side.
-    The p-value counts the resamples on the far side of 0, twice the smaller side. With one seed only episodes are drawn.
+    The p-value is twice the share of resamples on the far side of 0. With one seed only episodes are drawn.
     """
     gaps = np.asarray(one, dtype=float) - np.asarray(other, dtype=float)
     means = np.concatenate([_resampled(gaps, rng, min(CHUNK, RESAMPLES - at)) for at in range(0, RESAMPLES, CHUNK)])

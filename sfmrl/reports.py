@@ -54,15 +54,9 @@ def sheets(found: list[dict[str, Any]], contrasts: list[dict[str, Any]], title: 
         heads = ("row", "success\nless SARL's", "95 %", "p", "p (Holm)", "paper", "the paper is")
         made.append(Sheet("Differences from SARL on the same episodes", heads, [_difference(row) for row in compared]))
     if contrasts:
-        heads = ("what changes", *(heading for heading, _, _ in CONTRAST_COLUMNS))
-        names = list(dict.fromkeys(c["of"] for c in contrasts))
-        made.append(
-            Sheet(
-                "What the two ingredients change, each with and without the other",
-                heads,
-                [_contrast(n, contrasts) for n in names],
-            )
-        )
+        names = tuple(dict.fromkeys(contrast["of"] for contrast in contrasts))
+        changes = [_contrast(*line, names, contrasts) for line in CONTRASTED]
+        made.append(Sheet("What each ingredient changes, with and without the other", ("", *names), changes))
     return made
 
 
@@ -138,22 +132,18 @@ def _difference(row: dict[str, Any]) -> tuple[str, ...]:
     return row["row"], *numbers, rate(found["paper"]), found["verdict"]
 
 
-CONTRAST_COLUMNS = (
+CONTRASTED = (
     ("success", "success", rate),
-    ("early\nvalidation", "early_success", rate),
-    ("early\ntraining", "early_training_success", rate),
-    ("drops", "drops", rate),
-    ("nav. time", "navigation_time", lambda value: f"{value:.2f}"),
+    ("validation success, first quarter", "early_success", rate),
+    ("training success, first quarter", "early_training_success", rate),
+    ("drop from one validation to the next", "drops", rate),
+    ("navigation time, s", "navigation_time", lambda value: f"{value:.2f}"),
 )
 
 
-def _contrast(name: str, contrasts: list[dict[str, Any]]) -> tuple[str, ...]:
-    of = {c["in"]: c for c in contrasts if c["of"] == name}
-    cells = []
-    for _, metric, form in CONTRAST_COLUMNS:
-        found = of[metric]
-        cells.append(f"{form(found['mean'])}\n{_between(found['low'], found['high'], form)}")
-    return name, *cells
+def _contrast(title: str, metric: str, form: Any, names: tuple[str, ...], contrasts: list[dict]) -> tuple[str, ...]:
+    of = {c["of"]: c for c in contrasts if c["in"] == metric}
+    return title, *(f"{form(of[n]['mean'])} {_between(of[n]['low'], of[n]['high'], form)}" for n in names)
 
 
 def csv_rows(found: list[dict[str, Any]], contrasts: list[dict[str, Any]]) -> list[dict[str, Any]]:

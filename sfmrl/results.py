@@ -20,7 +20,7 @@ REACHED = 0.9  # validation success
 
 
 @dataclass(frozen=True)
-class Tested:
+class Trained:
     """Test episodes of one row, S seeds by E episodes, and the trainings' courses."""
 
     seeds: list[int]
@@ -66,7 +66,7 @@ class Tested:
         return at, np.array(steps)
 
 
-def read_row(folder: Path, number: int, preset: str, row: str, seeds: list[int]) -> Tested | None:
+def read_row(folder: Path, number: int, preset: str, row: str, seeds: list[int]) -> Trained | None:
     """The finished runs of a row among `seeds`; None where there is none.
 
     Raises ConfigError where a run was tested or validated on other episodes than the others.
@@ -90,7 +90,7 @@ def read_row(folder: Path, number: int, preset: str, row: str, seeds: list[int])
     def stacked(group: list[dict[str, list[str]]], column: str, kind: type) -> np.ndarray:
         return np.array([columns[column] for columns in group]).astype(kind)
 
-    return Tested(
+    return Trained(
         seeds=list(runs),
         outcome=stacked(tests, "outcome", str),
         hit=stacked(tests, "hit", str),

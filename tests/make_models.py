@@ -15,7 +15,7 @@ from typing import Any
 from sfmrl.evaluation import evaluation_record, metrics
 from sfmrl.models import FOLDER
 from sfmrl.policies import WEIGHTS, load_policy
-from sfmrl.results import Tested, read_row
+from sfmrl.results import Trained, read_row
 from sfmrl.runs import open_run
 from sfmrl.tables import TABLES, make_jobs, run_folder
 from sfmrl.weights import load_weights, save_weights
@@ -25,7 +25,7 @@ CHECKED = 100  # test episodes whose outcomes a card lists, for the tests
 CHOICE = "best mean validation success in the second half of the training, of seeds"
 
 
-def best_seed(tested: Tested) -> int:
+def best_seed(tested: Trained) -> int:
     late = tested.episodes > tested.episodes[-1] / 2
     return tested.seeds[int(tested.validation[:, late].mean(axis=1).argmax())]
 
@@ -39,7 +39,7 @@ def figures(policy: Any, environment: str, episodes: int) -> tuple[dict[str, Any
     return found | {"interval": whole["intervals"]["success"]}, record.outcome[:CHECKED].tolist()
 
 
-def make_model(name: str, number: int, row: str, tested: Tested, folder: Path) -> None:
+def make_model(name: str, number: int, row: str, tested: Trained, folder: Path) -> None:
     table, seed = TABLES[number], best_seed(tested)
     run = open_run(run_folder(folder, number, PRESET, row, seed))
     network, config = load_weights(run.folder / WEIGHTS)
