@@ -46,7 +46,7 @@ def test_a_model_is_what_its_card_says(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_model_does_on_100_episodes_what_its_card_says(name):
-    """To the episode with the card's versions, processor and precision; elsewhere rounding makes a few end otherwise."""
+    """To the episode with the card's versions, processor and precision; elsewhere rounding changes a few."""
     card = model_card(name)
     record = evaluation_record(load_policy(name), episodes=100)
     outcomes = "".join(outcome[0] for outcome in record.outcome)
