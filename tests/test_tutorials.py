@@ -2,7 +2,7 @@
 
 Of a page, all Python blocks share their names and all commands a folder. A `text` block after a block is its output; a
 line of "..." in it stands for any number of lines. Blocks under `<!-- minutes -->` take too long to be run here. Where
-processor or versions are others than those that the pages were made with, rounding is too, and numbers are not compared.
+processor or versions are not those that the pages were made with, rounding differs, and numbers are not compared.
 """
 
 import os
@@ -38,7 +38,7 @@ def same(shown: str, printed: str, alike: bool = True) -> bool:
     shown, printed = ("\n".join(line.rstrip() for line in text.rstrip().splitlines()) for text in (shown, printed))
     if not alike:
         shown, printed = (re.sub(r"[\d.,-]*\d|[ ─━═]+", "", text) for text in (shown, printed))
-    pattern = re.escape(shown).replace("\n" + re.escape("..."), "(\n.*)*?")
+    pattern = re.escape(shown).replace(re.escape("\n..."), "(\n.*)*?")
     return re.fullmatch(pattern, printed) is not None
 
 
