@@ -38,12 +38,13 @@ def say_result(text: str) -> None:
     out.print(text, markup=False, soft_wrap=True)
 
 
-def replay_command(policy: str | None, environment: str, seed: int, episode: int, settings: dict[str, Any]) -> str:
-    """What to type to see a test episode."""
+def replay_command(policy: str | None, where: str, seed: int, episode: int, settings: dict[str, Any]) -> str:
+    """What to type to see a test episode; `where` are the words for its environment."""
     words = [
         "sfmrl ascii-render",
         shlex.quote(policy) if policy else "",
-        f"--environment {environment} --seed {seed} --episode {episode}",
+        where,
+        f"--seed {seed} --episode {episode}",
     ]
     for section in settings.values():
         words += [

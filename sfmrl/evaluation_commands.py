@@ -1,6 +1,7 @@
 """The commands that test policies: `sfmrl eval`, `sfmrl compare`, `sfmrl models`."""
 
 import json
+import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,8 +10,8 @@ import typer
 from sfmrl.config import ConfigError, suggest
 from sfmrl.console import err, new_file, print_metrics, print_sheet, print_sweep, replay_command, say, say_result
 from sfmrl.files import csv_text
-from sfmrl.options import Device, Environment, Overwrite, PolicyName, Threads, option, settings_options
-from sfmrl.session import choose
+from sfmrl.options import Device, Environment, MapFile, Overwrite, PolicyName, Threads, option, settings_options
+from sfmrl.session import choose, drawn
 
 app = typer.Typer()
 
@@ -20,6 +21,7 @@ app = typer.Typer()
 def evaluate_command(
     policy: PolicyName = None,
     environment: Environment = None,
+    map_file: MapFile = None,
     episodes: Annotated[int, option("test episodes (default 500)", min=1)] = 500,
     seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
     sweep: Annotated[
@@ -40,15 +42,18 @@ def evaluate_command(
     """Test a policy: success, collisions, time-outs, navigation time, total reward."""
     from sfmrl.evaluation import episode_rows, evaluation_record, metrics, sweep_rows
     from sfmrl.progress import show_progress
+    from sfmrl.scenarios import label
     from sfmrl.sweeps import parse_sweep
 
     sweeps = [parse_sweep(text) for text in sweep or []]
     new_file(csv, "csv", overwrite)
+    asked = drawn(map_file, environment)
     chosen, name, config = choose(policy, settings, threads, device)
-    environment = config.reinforcement.test_environment if environment is None else environment
+    environment = config.reinforcement.test_environment if asked is None else asked
     how = {"environment": environment, "episodes": episodes, "seed": seed}
     how |= {"reward": config.reward, "simulation": config.simulation, "progress": show_progress(err)}
-    title = f"{name}, environment {environment}, {episodes} episodes, seed {seed}"
+    place = f"map {map_file}" if map_file else f"environment {label(environment)}"
+    title = f"{name}, {place}, {episodes} episodes, seed {seed}"
     if sweeps:
         rows = sweep_rows(chosen, sweeps, **how)
         if csv:
@@ -69,7 +74,10 @@ def evaluate_command(
     if result["failures"]:
         failed = [failure["episode"] for failure in result["failures"]]
         listed = ", ".join(map(str, failed[:12])) + (", ..." if len(failed) > 12 else "")
-        see = replay_command(policy, environment, seed, failed[0], settings)
+        where = f"--environment {shlex.quote(environment)}"
+        if map_file or environment != label(environment):
+            where = f"--map {shlex.quote(str(map_file))}" if map_file else ""  # a run has its map with it
+        see = replay_command(policy, where, seed, failed[0], settings)
         say(f"{len(failed)} episodes ({listed}) failed; see one: {see}")
         no_way = [str(failure["episode"]) for failure in result["failures"] if not failure["solvable"]]
         if no_way:
