@@ -51,7 +51,7 @@ Environment = Annotated[
 
 MapFile = Annotated[
     Path | None,
-    option("in place of --environment, a map drawn in a text file: # squares, R robot, G goal, 1-9 people", "--map"),
+    option("a text file that draws the scene: # squares, R robot, G its goal, 1-9 people, a-i their goals", "--map"),
 ]
 
 
