@@ -74,9 +74,9 @@ def evaluate_command(
     if result["failures"]:
         failed = [failure["episode"] for failure in result["failures"]]
         listed = ", ".join(map(str, failed[:12])) + (", ..." if len(failed) > 12 else "")
-        where = f"--environment {shlex.quote(environment)}"
-        if map_file or environment != label(environment):
-            where = f"--map {shlex.quote(str(map_file))}" if map_file else ""  # a run has its map with it
+        where = f"--map {shlex.quote(str(map_file))}" if map_file else f"--environment {shlex.quote(environment)}"
+        if asked is None and environment != label(environment):
+            where = ""  # a run has its map with it
         see = replay_command(policy, where, seed, failed[0], settings)
         say(f"{len(failed)} episodes ({listed}) failed; see one: {see}")
         no_way = [str(failure["episode"]) for failure in result["failures"] if not failure["solvable"]]

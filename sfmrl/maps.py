@@ -16,7 +16,7 @@ goal is bound for the place opposite, through the middle of the drawing. The rob
 touch a square, so a passage must be two places wide. Beyond the drawing all is free.
 
 Episodes differ by a little noise: each start is moved by up to 0.1 m in x and in y, as far as it has room, and the goal
-by as much the other way. Whoever is drawn beside a square stands 0.05 m off it.
+by as much the other way. A robot drawn beside a square starts 0.05 m off it.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from sfmrl.config import ConfigError
 
 CELL = 0.6  # m, the side of a place, and of a square
 JITTER = 0.1  # m: people and the robot start within so much of their places in x and in y
-OFF = 0.05  # m between a square and whoever is drawn beside it: to touch it would be a collision
+OFF = 0.05  # m between the robot and a square that it is drawn beside: to touch it would be a collision
 PEOPLE, GOALS = "123456789", "abcdefghi"
 MOST_PLACES = 60  # across, and down: farther than anybody comes within an episode
 MOST_SQUARES = 200
@@ -62,25 +62,13 @@ def parse(text: str, name: str = "map", whole: bool = True) -> Drawing:
         raise ConfigError(f"{name} is empty; draw at least R, where the robot starts, and G, where it wants to go")
     if max(rows, columns) > MOST_PLACES:
         raise ConfigError(f"{name} is {columns} places wide and {rows} high; it may be {MOST_PLACES} of either")
-    squares, marks, written = [], {}, {}  # marks and where they are written, by character
-    for row, (number, before, line) in enumerate(lines):
-        for column, character in enumerate(line):
-            at = f"line {number}, column {before + column + 1}"
-            place = CELL * np.array((column - (columns - 1) / 2, (rows - 1) / 2 - row))
-            if character == "#":
-                squares.append(place)
-            elif character in marks:
-                raise ConfigError(f"{name}, {at}: this is a second {character}; the first is in {written[character]}")
-            elif character in f"RG{PEOPLE}{GOALS}":
-                marks[character], written[character] = place, at
-            elif character != ".":
-                raise ConfigError(f"{name}, {at}: {character!r} means nothing on a map; {_KNOWN}")
+    squares, marks, where = _places(lines, rows, columns, name)
     if len(squares) > MOST_SQUARES:
         raise ConfigError(f"{name} has {len(squares)} squares; it may have {MOST_SQUARES}, for the robot weighs each")
     for character, what in (("R", "the robot's start"), ("G", "the robot's goal")):
         if whole and character not in marks:
             raise ConfigError(f"{name} has no {character}; draw one, {what}")
-    return _drawing(np.reshape(squares, (-1, 2)), marks, {mark: f"{name}, {at}" for mark, at in written.items()})
+    return _drawing(squares, marks, where)
 
 
 def _lines(text: str) -> list[tuple[int, int, str]]:
@@ -91,6 +79,27 @@ def _lines(text: str) -> list[tuple[int, int, str]]:
     lines = lines[drawn[0] : drawn[-1] + 1] if drawn else []
     before = min((len(line) - len(line.lstrip(" ")) for _, line in lines if line), default=0)
     return [(number, before, line[before:].translate(_MEANT)) for number, line in lines]
+
+
+def _places(
+    lines: list[tuple[int, int, str]], rows: int, columns: int, name: str
+) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, str]]:
+    """Squares (S, 2) and, by character, all else (2,), in m; and where in the text the latter are written."""
+    squares, marks, where = [], {}, {}
+    for row, (number, before, line) in enumerate(lines):
+        for column, character in enumerate(line):
+            at = f"{name}, line {number}, column {before + column + 1}"
+            place = CELL * np.array((column - (columns - 1) / 2, (rows - 1) / 2 - row))
+            if character == "#":
+                squares.append(place)
+            elif character in marks:
+                first = where[character].removeprefix(f"{name}, ")
+                raise ConfigError(f"{at}: this is a second {character}; the first is in {first}")
+            elif character in f"RG{PEOPLE}{GOALS}":
+                marks[character], where[character] = place, at
+            elif character != ".":
+                raise ConfigError(f"{at}: {character!r} means nothing on a map; {_KNOWN}")
+    return np.reshape(squares, (-1, 2)), marks, where
 
 
 def _drawing(squares: np.ndarray, marks: dict[str, np.ndarray], where: dict[str, str]) -> Drawing:
@@ -106,25 +115,19 @@ def _drawing(squares: np.ndarray, marks: dict[str, np.ndarray], where: dict[str,
                 raise ConfigError(f"{where[person]}: {person} touches the robot; leave a place between them")
         elif letter in marks:
             raise ConfigError(f"{where[letter]}: {letter} is the goal of person {person}, who is not there")
-    start, goal = _off(np.array(start), squares), _off(np.array(goal), squares)
-    return Drawing(start, goal, np.minimum(_leeway(start, squares), _leeway(goal, squares)), squares)
+    beside = squares[_apart(start[0], squares) < 1.1 * CELL]
+    start[0] = start[0] + OFF / CELL * (start[0] - beside).sum(0)
+    start, goal = np.array(start), np.array(goal)
+    return Drawing(start, goal, _leeway(start, goal, squares), squares)
 
 
 def _apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Distances between points (..., 2) that broadcast, in m."""
     return np.hypot(*np.moveaxis(one - other, -1, 0))
 
 
-def _off(places: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """Places (n, 2), each a little away from the squares beside it."""
-    away = places[:, None] - squares
-    beside = _apart(places[:, None], squares) < 1.1 * CELL
-    return places + OFF / CELL * np.where(beside[..., None], away, 0.0).sum(1)
-
-
-def _leeway(places: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """By how much places (n, 2) may all be moved in x and in y, and touch neither each other nor squares."""
-    others = np.where(np.eye(len(places), dtype=bool), np.inf, _apart(places[:, None], places))
-    room = np.minimum(
-        _apart(places[:, None], squares).min(1, initial=np.inf) - CELL, (others.min(1, initial=np.inf) - CELL) / 2
-    )
-    return np.clip(room / np.sqrt(2), 0.0, JITTER)
+def _leeway(start: np.ndarray, goal: np.ndarray, squares: np.ndarray) -> np.ndarray:
+    """By how much starts (n, 2) may all be moved in x and in y, and goals the other way; only goals may then touch."""
+    others = np.where(np.eye(len(start), dtype=bool), np.inf, _apart(start[:, None], start)).min(1)
+    solid = _apart(np.array((start, goal))[:, :, None], squares).min((0, 2), initial=np.inf)
+    return np.clip(np.minimum(solid - CELL, (others - CELL) / 2) / np.sqrt(2), 0.0, JITTER)
