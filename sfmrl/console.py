@@ -38,12 +38,14 @@ def say_result(text: str) -> None:
     out.print(text, markup=False, soft_wrap=True)
 
 
-def replay_command(policy: str | None, where: str, seed: int, episode: int, settings: dict[str, Any]) -> str:
-    """What to type to see a test episode; `where` are the words for its environment."""
+def replay_command(
+    policy: str | None, place: tuple[str, Any] | None, seed: int, episode: int, settings: dict[str, Any]
+) -> str:
+    """What to type to see a test episode; `place` is --environment or --map and its value, None if the policy's."""
     words = [
         "sfmrl ascii-render",
         shlex.quote(policy) if policy else "",
-        where,
+        f"{place[0]} {shlex.quote(str(place[1]))}" if place else "",
         f"--seed {seed} --episode {episode}",
     ]
     for section in settings.values():

@@ -1,7 +1,6 @@
 """The commands that test policies: `sfmrl eval`, `sfmrl compare`, `sfmrl models`."""
 
 import json
-import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -52,8 +51,8 @@ def evaluate_command(
     environment = config.reinforcement.test_environment if asked is None else asked
     how = {"environment": environment, "episodes": episodes, "seed": seed}
     how |= {"reward": config.reward, "simulation": config.simulation, "progress": show_progress(err)}
-    place = f"map {map_file}" if map_file else f"environment {label(environment)}"
-    title = f"{name}, {place}, {episodes} episodes, seed {seed}"
+    where = f"map {map_file}" if map_file else f"environment {label(environment)}"
+    title = f"{name}, {where}, {episodes} episodes, seed {seed}"
     if sweeps:
         rows = sweep_rows(chosen, sweeps, **how)
         if csv:
@@ -74,10 +73,10 @@ def evaluate_command(
     if result["failures"]:
         failed = [failure["episode"] for failure in result["failures"]]
         listed = ", ".join(map(str, failed[:12])) + (", ..." if len(failed) > 12 else "")
-        where = f"--map {shlex.quote(str(map_file))}" if map_file else f"--environment {shlex.quote(environment)}"
+        place = ("--map", map_file) if map_file else ("--environment", environment)
         if asked is None and environment != label(environment):
-            where = ""  # a run has its map with it
-        see = replay_command(policy, where, seed, failed[0], settings)
+            place = None  # a run has its map with it
+        see = replay_command(policy, place, seed, failed[0], settings)
         say(f"{len(failed)} episodes ({listed}) failed; see one: {see}")
         no_way = [str(failure["episode"]) for failure in result["failures"] if not failure["solvable"]]
         if no_way:
@@ -89,6 +88,7 @@ def evaluate_command(
 def compare_command(
     policies: Annotated[list[str], typer.Argument(help="two or more, as for eval; all are compared with the first")],
     environment: Environment = None,
+    map_file: MapFile = None,
     episodes: Annotated[int, option("test episodes (default 500)", min=1)] = 500,
     seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
     as_json: Annotated[bool, option("print JSON", "--json")] = False,
@@ -106,10 +106,12 @@ def compare_command(
     from sfmrl.comparison import compare, comparison_rows, comparison_sheets
     from sfmrl.evaluation import evaluation_record
     from sfmrl.progress import show_progress
+    from sfmrl.scenarios import label
 
     if len(policies) < 2 or len(set(policies)) < len(policies):
         raise ConfigError(f"compare takes two or more different policies; it got {', '.join(policies)}")
     new_file(csv, "csv", overwrite)
+    environment = drawn(map_file, environment)
     chosen = [choose(policy, settings, threads, device) for policy in policies]
     first = chosen[0][2]
     environment = first.reinforcement.test_environment if environment is None else environment
@@ -122,11 +124,13 @@ def compare_command(
     if as_json:
         say_result(json.dumps({"environment": environment, "seed": seed} | found, indent=2))
         return
-    for sheet in comparison_sheets(found, f"environment {environment}, {episodes} episodes, seed {seed}"):
+    where = f"map {map_file}" if map_file else f"environment {label(environment)}"
+    for sheet in comparison_sheets(found, f"{where}, {episodes} episodes, seed {seed}"):
         print_sheet(sheet)
     if found["differing"]:
         number = found["differing"][0]["episode"]
-        say("see one: " + replay_command(policies[0], environment, seed, number, settings))
+        place = ("--map", map_file) if map_file else ("--environment", environment)
+        say("see one: " + replay_command(policies[0], place, seed, number, settings))
 
 
 @app.command(epilog="Example: sfmrl models sarl-sfm6")

@@ -267,7 +267,7 @@ def test_an_interrupted_training_on_a_map_goes_on_from_its_folder_alone(tmp_path
     config = make_config(simulation={"time_limit": 4.0}, reinforcement=schedule)
     stop = StopSignal()
     stop.requested = True
-    run = start_run(config, None, True, tmp_path / "run", False)
+    run = start_run(config, None, True, tmp_path / "run")
     with pytest.raises(Interrupted):
         reinforce(run, no_progress, stop, lambda text: None)
     path.unlink()
@@ -282,6 +282,8 @@ def test_commands_use_maps_and_say_what_is_wrong_in_a_line(sfmrl: Callable, tmp_
     done = sfmrl("eval", "linear", "--map", "room 1.txt", "--episodes", "2")
     assert "linear, map room 1.txt, 2 episodes, seed 0" in done.stdout
     assert "sfmrl ascii-render linear --map 'room 1.txt' --seed 0 --episode 0" in done.stderr
+    compared = sfmrl("compare", "linear", "orca", "--map", "room 1.txt", "--episodes", "1")
+    assert "map room 1.txt, 1 episodes, seed 0" in compared.stdout
     drawn = sfmrl("ascii-render", "--draw", "--map", "room 1.txt")
     assert (drawn.stdout, drawn.stderr) == (ROOM, "")
     shown = sfmrl("ascii-render", "linear", "--map", "room 1.txt", "--frames", "1")
