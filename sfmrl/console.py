@@ -38,12 +38,15 @@ def say_result(text: str) -> None:
     out.print(text, markup=False, soft_wrap=True)
 
 
-def replay_command(policy: str | None, environment: str, seed: int, episode: int, settings: dict[str, Any]) -> str:
-    """What to type to see a test episode."""
+def replay_command(
+    policy: str | None, place: tuple[str, Any] | None, seed: int, episode: int, settings: dict[str, Any]
+) -> str:
+    """What to type to see a test episode; `place` is --environment or --map and its value, None if the policy's."""
     words = [
         "sfmrl ascii-render",
         shlex.quote(policy) if policy else "",
-        f"--environment {environment} --seed {seed} --episode {episode}",
+        f"{place[0]} {shlex.quote(str(place[1]))}" if place else "",
+        f"--seed {seed} --episode {episode}",
     ]
     for section in settings.values():
         words += [

@@ -49,6 +49,11 @@ Environment = Annotated[
     option(f"1 to 5, circle, circle5, {', '.join(MIXES)} or shares, 1:0.7,2:0.3 (default the policy's test mix)"),
 ]
 
+MapFile = Annotated[
+    Path | None,
+    option("a text file that draws the scene: # squares, R robot, G its goal, 1-9 people, a-i their goals", "--map"),
+]
+
 
 def settings_options(*sections: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Give a command an option for every knob of some sections of the config ("" is its top level).

@@ -30,10 +30,12 @@ LEVELS = (
         "models",
     ),
     (
+        "maps",
         "layouts",
         "placement",
         "scenarios",
         "planner",
+        "drawings",
         "rewards",
         "crowd",
         "actions",
