@@ -1,8 +1,8 @@
 """The tutorials do as they are printed: every block is run in order, and what it prints is what the page shows.
 
 Of a page, all Python blocks share their names and all commands a folder; a block that begins with "# NAME.py" is saved
-under that name, too. A `text` block after a block is its output; a
-line of "..." in it stands for any number of lines. Blocks under `<!-- minutes -->` take too long to be run here. Where
+under that name, too. A `text` block after a block is its output; a line of "..." in it stands for any number of
+lines. Blocks under `<!-- minutes -->` take too long to be run here. Where
 processor or versions are not those that the pages were made with, rounding differs, and numbers are not compared.
 """
 
