@@ -69,7 +69,7 @@ def place(tmp_path: Path, monkeypatch) -> Path:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
 def test_a_page_does_what_it_shows(page, place, capsys):
-    names = {"__name__": page.stem}
+    names = {"__name__": page.stem, "tutorials": page.parent}
     blocks = runs(page)
     assert blocks
     for language, code, shown in blocks:
