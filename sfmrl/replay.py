@@ -1,49 +1,34 @@
-"""An episode of a record as text frames: a map, a panel of what the robot weighs up, and a timeline of what happened.
+"""An episode of a record as text frames: the plane, a panel of what the robot weighs up, a timeline of what happened.
 
 Pure: nothing is printed, and one episode's frames share one view that shows every place that anybody visits. At
-80 x 24 a column is about 0.2 m and a row 0.4 m. Below 60 x 16 the panel goes, below 20 x 8 all but the map.
+80 x 24 a column is about 0.2 m and a row 0.4 m. Below 60 x 16 the panel goes, below 20 x 8 all but the plane. Two
+policies in the same episode stand side by side, in step and in one scale: each with its panel from 161 columns on, with
+its facts below the plane from 61 on, and one above the other where there are fewer.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from rich.text import Text
 
-from sfmrl.canvas import (
-    ARROWS,
-    BAD,
-    FAINT,
-    GOAL,
-    NEXT_CELL,
-    PERSON,
-    ROBOT,
-    SQUARE,
-    WATCHED,
-    Canvas,
-    View,
-    fit_view,
-    fitted,
-    octant,
-    styled,
-    tidy,
-    to_ascii,
-)
+from sfmrl.canvas import FAINT, GOAL, PERSON, ROBOT, SQUARE, Canvas, View, fit_view, fitted, styled, tidy, to_ascii
 from sfmrl.config import Reward
 from sfmrl.episodes import Record
-from sfmrl.geometry import direction, length
-from sfmrl.panel import panel_lines
+from sfmrl.geometry import direction
+from sfmrl.panel import facts_lines, panel_lines
+from sfmrl.plane import bordered, draw, moment
 from sfmrl.scenarios import Scenes
-from sfmrl.screen import play_live
-from sfmrl.story import Story, number, scene_name, tell
+from sfmrl.story import Story, scene_name, tell
 from sfmrl.timeline import sentence, timeline
 
-__all__ = ["Frame", "make_frames", "play_live", "scene_picture", "strip"]
-
 PANEL = (32, 44)  # columns of the panel, at least and at most
-MEMORY = 8  # moments that a person's trail goes back
-LARGE = 0.9  # rows: discs of at least this radius are drawn as rings
-RING = np.stack((np.cos(np.arange(24) * np.pi / 12), np.sin(np.arange(24) * np.pi / 12)), -1)
+BESIDE = 30  # columns that each of two planes side by side must have
+WHOLE = 80  # ... and with which each has its panel beside it
+FACTS = 3  # lines of facts below each of two planes, at least; from PANELLED on they are a panel
+PANELLED = 9
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
@@ -60,6 +45,59 @@ class Frame:
 
     def __rich__(self) -> Text:
         return self.text
+
+
+@dataclass(frozen=True)
+class Replay:
+    """One episode as one policy has played it, or two, to be drawn at any moment and in any size.
+
+    Where one of two has ended before the other, it stays as it ended. `labels` are the policies' names.
+    """
+
+    stories: tuple[Story, ...]
+    labels: tuple[str, ...]
+    ascii_only: bool = False
+
+    @property
+    def last(self) -> int:
+        """The last moment; the first is 0."""
+        return max(story.last for story in self.stories)
+
+    @property
+    def time_step(self) -> float:
+        """Seconds from one moment to the next."""
+        return float(self.stories[0].time[1])
+
+    @property
+    def title(self) -> str:
+        """Who plays what, in a line."""
+        words = _titled(" and ".join(filter(None, self.labels)), self.stories[0])
+        return to_ascii(Text(words)).plain if self.ascii_only else words
+
+    def frame(self, t: int, width: int = 80, height: int = 24) -> Frame:
+        """The picture at moment `t`, of at most `width` columns and `height` lines."""
+        places = np.concatenate([_places(story) for story in self.stories])
+        sides = [
+            _Side(story, min(t, story.last), _titled(label, story), places, trails=not self.ascii_only)
+            for story, label in zip(self.stories, self.labels, strict=True)
+        ]
+        if len(sides) == 1:
+            lines = sides[0].with_panel(width, height)
+        elif width < 2 * BESIDE + 1:
+            lines = sides[0].with_panel(width, -(-height // 2))
+            lines += sides[1].with_panel(width, height - len(lines))
+        else:
+            half = (width - 1) // 2
+            left, right = (
+                side.with_panel(half, height) if half >= WHOLE else side.above_facts(half, height) for side in sides
+            )
+            lines = [fitted(a, half) + Text(" ") + b for a, b in zip(left, right, strict=True)]
+        return Frame(_joined(lines, width, height, self.ascii_only), max(side.time for side in sides))
+
+    def frames(self, width: int = 80, height: int = 24, count: int | None = None) -> list[Frame]:
+        """All frames, or `count` of them as `strip` chooses."""
+        moments = range(self.last + 1)
+        return [self.frame(t, width, height) for t in (moments if count is None else strip(moments, count))]
 
 
 def make_frames(
@@ -79,25 +117,10 @@ def make_frames(
     `policy` adds what it weighs up if it has SARL's `lookahead` and `attention`; `label` is its name in the heading.
     `reward` and `discount` are those of the panel's account (default: the policy's own).
     """
-    story = tell(record, episode, policy, reward, discount)
-    size = _Size.within(width, height, _places(story))
-    title = " · ".join(([tidy(label)] if label else []) + [story.name])
-    frames = []
-    for t in range(story.last + 1):
-        lines = _map(story, t, size.view, people_trails=not ascii_only).lines()
-        if size.bordered:
-            lines = _bordered(lines, title if size.panel else f"{story.time[t]:.2f} s · {title}", size.view)
-        if size.panel:
-            panel = panel_lines(story, t, len(lines), size.panel)
-            lines = [line + Text(" ") + beside for line, beside in zip(lines, panel, strict=True)]
-        if size.bordered:
-            total = lines[0].cell_len
-            lines += [timeline(story, t, total), fitted(sentence(story, t), total)]
-        frames.append(Frame(_joined(lines, width, height, ascii_only), float(story.time[t])))
-    return frames
+    return Replay((tell(record, episode, policy, reward, discount),), (label,), ascii_only).frames(width, height)
 
 
-def strip(frames: Sequence[Frame], count: int) -> list[Frame]:
+def strip(frames: Sequence[Item], count: int) -> list[Item]:
     """`count` frames, evenly spaced, the last one and (from 2 on) the first among them; all if there are fewer."""
     if count >= len(frames):
         return list(frames)
@@ -116,10 +139,10 @@ def scene_picture(
     canvas = Canvas(size.view)
     for k in np.flatnonzero(~square)[1:]:
         canvas.put(goal[k], "x", FAINT)
-    _draw(canvas, start, facing, goal[0], scenes.radius[episode], square)
+    draw(canvas, start, facing, goal[0], scenes.radius[episode], square)
     lines = canvas.lines()
     if size.bordered:
-        lines = _bordered(lines, scene_name(scenes.environment[episode], scenes.episode[episode]), size.view)
+        lines = bordered(lines, scene_name(scenes.environment[episode], scenes.episode[episode]), size.view)
         legend = (("@", ROBOT), (" robot  ", ""), ("★", GOAL), (" its goal  ", ""))
         legend += ((" 1→", PERSON), (" person and heading  ", ""), ("x", FAINT), (" a person's goal  ", ""))
         lines.append(styled((*legend, ("█", SQUARE), (" square", ""))))
@@ -136,7 +159,7 @@ class _Size:
 
     @staticmethod
     def within(width: int, height: int, points: np.ndarray, panel: bool = True) -> "_Size":
-        """The layout of a frame of `width` x `height` whose map shows all `points` (n, 2)."""
+        """The layout of a frame of `width` x `height` whose plane shows all `points` (n, 2)."""
         bordered = width >= 20 and height >= 8
         rows = max(height - 4 * bordered, 1)
         if not bordered:
@@ -152,60 +175,60 @@ class _Size:
 
 
 def _places(story: Story) -> np.ndarray:
-    """Everywhere that the episode's map must show, (n, 2) m: all positions, starts and goals."""
+    """Everywhere that the episode's plane must show, (n, 2) m: all positions, starts and goals."""
     return np.concatenate((story.position.reshape(-1, 2), story.start, story.goal))
 
 
-def _map(story: Story, t: int, view: View, people_trails: bool) -> Canvas:
-    """The scene at moment `t`, with where the robot has been and, if asked for, where people have just been."""
-    canvas = Canvas(view)
-    people = ~story.square
-    people[0] = False
-    been = np.where(
-        (length(story.position[:t] - story.position[t]) > story.radius)[..., None], story.position[:t], np.nan
-    )
-    if people_trails:
-        canvas.dots(been[-MEMORY:, people].reshape(-1, 2), FAINT)
-    canvas.dots(been[:, 0], ROBOT)
-    marked = {int(story.attention[t].argmax()) + 1: WATCHED} if story.attention is not None else {}
-    hit = story.hit if t == story.last else story.hit[:0]
-    if len(hit):
-        marked |= {int(row): BAD for row in (0, *hit)}
-    _draw(canvas, story.position[t], story.velocity[t], story.goal[0], story.radius, story.square, marked)
-    for row in hit:
-        where = story.position[t, [0, row]]
-        canvas.put(where.mean(0), "X", BAD)
-        canvas.put(where[1], number(row), f"{BAD} reverse" if story.square[row] else BAD)
-        canvas.put(where[0], "@", BAD)
-    return canvas
+def _titled(label: str, story: Story) -> str:
+    return " · ".join(([tidy(label)] if label else []) + [story.name])
 
 
-def _draw(canvas: Canvas, position, velocity, goal, radius, square, marked: dict[int, str] | None = None) -> None:
-    """Draw squares, the robot's goal, people and the robot, each over those before it; `marked` rows in own styles."""
-    marked = marked or {}
-    canvas.squares(position[square], radius[square], SQUARE)
-    for row in np.flatnonzero(square):
-        canvas.put(position[row], number(row), f"{marked.get(row, SQUARE)} reverse")
-    canvas.put(goal, "★", GOAL)
-    for row in np.flatnonzero(~square & (radius >= LARGE * canvas.view.row))[::-1]:
-        canvas.dots(position[row] + radius[row] * RING, marked.get(row, FAINT if row else ROBOT))
-    moving = np.flatnonzero(~square & (length(velocity) > 0.05))
-    for row in moving[::-1]:
-        way = octant(velocity[row])
-        canvas.put(position[row], ARROWS[way], marked.get(row, "" if row else ROBOT), NEXT_CELL[way])
-    for row in np.flatnonzero(~square)[::-1]:
-        canvas.put(position[row], number(row) if row else "@", marked.get(row, PERSON if row else ROBOT))
+@dataclass(frozen=True)
+class _Side:
+    """One story at moment `t`, to be drawn on a plane that shows all `places` (n, 2) m."""
 
+    story: Story
+    t: int
+    title: str
+    places: np.ndarray
+    trails: bool  # of people
 
-def _bordered(lines: list[Text], title: str, view: View) -> list[Text]:
-    """The map in its frame, with a title above and the length of 1 m below."""
-    metre = max(round(2 / view.row), 1)
-    scale = f" 1 m ├{'─' * (metre - 2)}┤ " if 2 <= metre <= view.columns - 12 else ""
-    head = Text(f" {title} ", "bold")
-    head.truncate(view.columns - 2, overflow="ellipsis")
-    over = Text.assemble(("╭─", FAINT), head, ("─" * (view.columns - 1 - head.cell_len) + "╮", FAINT))
-    under = Text("╰" + scale.rjust(view.columns - 1, "─") + "─╯", FAINT)
-    return [over, *[Text.assemble(("│", FAINT), line, ("│", FAINT)) for line in lines], under]
+    @property
+    def time(self) -> float:
+        return float(self.story.time[self.t])
+
+    def with_panel(self, width: int, height: int) -> list[Text]:
+        """The plane with the panel beside it, and the timeline below."""
+        size = _Size.within(width, height, self.places)
+        lines = self._plane(size.view)
+        if not size.bordered:
+            return lines
+        lines = bordered(lines, self.title if size.panel else f"{self.time:.2f} s · {self.title}", size.view)
+        if size.panel:
+            panel = panel_lines(self.story, self.t, len(lines), size.panel)
+            lines = [line + Text(" ") + beside for line, beside in zip(lines, panel, strict=True)]
+        return lines + self._times(lines[0].cell_len)
+
+    def above_facts(self, width: int, height: int) -> list[Text]:
+        """The plane as wide as it can be, facts below it in the lines that it leaves, and the timeline."""
+        span = np.ptp(self.places[np.isfinite(self.places).all(-1)], axis=0)[1]
+        needed = span / fit_view(self.places, 1_000_000, width - 2).row  # rows of the plane
+        most = max(height - 12, 0)
+        below = int(np.clip(height - 5 - needed, min(FACTS, most), most))
+        size = _Size.within(width, height - below, self.places, panel=False)
+        if not size.bordered:
+            return self._plane(size.view)
+        view = fit_view(self.places, size.view.rows, width - 2)
+        lines = bordered(self._plane(view), self.title, view)
+        facts = panel_lines if below >= PANELLED else facts_lines
+        return lines + facts(self.story, self.t, below, width) + self._times(width)
+
+    def _plane(self, view: View) -> list[Text]:
+        return moment(self.story, self.t, view, self.trails).lines()
+
+    def _times(self, columns: int) -> list[Text]:
+        """When it happened, and what."""
+        return [timeline(self.story, self.t, columns), fitted(sentence(self.story, self.t, columns), columns)]
 
 
 def _joined(lines: list[Text], width: int, height: int, ascii_only: bool) -> Text:

@@ -1,54 +1,154 @@
 """The command that shows episodes: `sfmrl ascii-render`."""
 
+import dataclasses
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from sfmrl.console import out
-from sfmrl.options import Device, Environment, PolicyName, Threads, option, settings_options
+from sfmrl.config import ConfigError
+from sfmrl.console import out, say
+from sfmrl.options import Device, Environment, Overwrite, PolicyName, Threads, option, settings_options
 from sfmrl.session import choose
 
 app = typer.Typer()
+LEAST = (20, 8)  # columns and lines that a frame has at least
+FILES = (80, 24)  # ... and those of frames in files, whatever the terminal
 
 
 @app.command("ascii-render", epilog="Example: sfmrl ascii-render orca --environment 3 --episode 17")
 @settings_options("simulation", "reward", "planner")
 def ascii_render(
     policy: PolicyName = None,
+    versus: Annotated[str | None, option("a second policy in the same episode, side by side and in step")] = None,
     environment: Environment = None,
     episode: Annotated[int, option("number of the test episode (default 0)", min=0)] = 0,
     seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
     speed: Annotated[float, option("times real time (default 2)", min=0.01)] = 2.0,
-    frames: Annotated[int | None, option("print so many stills instead of playing (a pipe gets 6)", min=1)] = None,
+    frames: Annotated[int | None, option("so many stills instead of playing (default a pipe 6, SVG 1)", min=1)] = None,
+    size: Annotated[str | None, option("COLUMNSxLINES (default the terminal's; in files 80x24)")] = None,
     ascii_only: Annotated[bool, option("7-bit characters only", "--ascii")] = False,
     scenes: Annotated[bool, option("draw a sample of each environment, and play nothing", "--scenes")] = False,
+    svg: Annotated[Path | None, option("write the last frame, or stills one below the other, as a picture")] = None,
+    cast: Annotated[Path | None, option("write a recording that asciinema and its like play")] = None,
+    txt: Annotated[Path | None, option("write all frames, or stills, as plain text")] = None,
+    overwrite: Overwrite = False,
     threads: Threads = None,
     device: Device = "cpu",
     *,
     settings: dict[str, Any],
 ) -> None:
-    """Replay a test episode in the terminal."""
-    from sfmrl import replay
-    from sfmrl.episodes import play_episodes
+    """Replay a test episode in the terminal, or write it to files."""
+    files = {flag: path for flag, path in (("--svg", svg), ("--cast", cast), ("--txt", txt)) if path}
+    _check(files, overwrite)
+    if scenes and (files or versus):
+        raise ConfigError(f"--scenes plays nothing; leave out {next(iter(files), '--versus')}")
+    if frames and list(files) == ["--cast"]:
+        raise ConfigError("--frames chooses stills, but a recording has every step; leave it out or add --svg")
+    room = _parsed(size) if size else FILES if files else (max(out.width, LEAST[0]), max(out.height - 1, LEAST[1]))
+    ascii_only = ascii_only or (not files and not (out.encoding or "").lower().startswith("utf"))
+    if scenes:
+        _print_scenes(environment, episode, seed, room, ascii_only)
+        return
+    if versus and not (room[0] >= 61 or room[1] >= 16):
+        raise ConfigError(f"--versus needs 61 columns or 17 lines; here are {out.width} columns and {out.height} lines")
+
+    replay = _play([policy, versus] if versus else [policy], (environment, episode, seed), settings, threads, device)
+    replay = dataclasses.replace(replay, ascii_only=ascii_only)
+    if files:
+        _write(files, replay, room, frames, speed)
+    elif frames or not out.is_terminal or out.is_dumb_terminal:
+        for picture in replay.frames(*room, frames or 6):
+            out.print(picture.text if out.is_terminal else picture.plain, markup=False, highlight=False, soft_wrap=True)
+    else:
+        from sfmrl.screen import play_live
+
+        def draw(t: int, columns: int, lines: int) -> Any:
+            return replay.frame(t, *(room if size else (columns, lines))).text
+
+        play_live(draw, replay.last, out, speed, replay.time_step)
+
+
+def _check(files: dict[str, Path], overwrite: bool) -> None:
+    """Hold the paths of some flags to what can be written without loss; raises ConfigError."""
+    for flag, path in files.items():
+        if path.is_dir():
+            raise ConfigError(f"{flag} {path} is a folder; name a file")
+        if path.exists() and not overwrite:
+            raise ConfigError(f"{path} is there already; name another {flag}, or replace it with --overwrite")
+        if not path.parent.is_dir():
+            raise ConfigError(f"there is no folder {path.parent} for {flag} {path.name}")
+    if len({path.resolve() for path in files.values()}) < len(files):
+        raise ConfigError(f"{' and '.join(files)} name the same file; each needs its own")
+
+
+def _parsed(size: str) -> tuple[int, int]:
+    """Columns and lines from "120x40"; raises ConfigError."""
+    match = re.fullmatch(r"(\d{1,3})x(\d{1,3})", size)
+    columns, lines = map(int, match.groups()) if match else (0, 0)
+    if columns < LEAST[0] or lines < LEAST[1]:
+        raise ConfigError(f"--size is {size}; it takes COLUMNSxLINES, as in 120x40, from {LEAST[0]}x{LEAST[1]} on")
+    return columns, lines
+
+
+def _print_scenes(environment: str | None, episode: int, seed: int, room: tuple[int, int], ascii_only: bool) -> None:
+    """A picture of a sample of an environment, or of each."""
+    from sfmrl.replay import scene_picture
     from sfmrl.scenarios import ENVIRONMENTS, sample_scenes
 
-    plain = ascii_only or not (out.encoding or "").lower().startswith("utf")
-    size = {"width": max(out.width, 20), "height": max(out.height - 1, 8), "ascii_only": plain}
-    if scenes:
-        for name in "12345" if environment is None else [environment]:
-            out.print(replay.scene_picture(sample_scenes(name, [episode], seed), **size))
-            out.print(ENVIRONMENTS.get(name, ""), end="\n\n")
-        return
-    chosen, name, config = choose(policy, settings, threads, device)
-    environment = config.reinforcement.test_environment if environment is None else environment
-    scene = sample_scenes(environment, [episode], seed)
-    record = play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount)
-    pictures = replay.make_frames(
-        record, 0, policy=chosen, label=Path(name).name, reward=config.reward, discount=config.discount, **size
-    )
-    if frames or not out.is_terminal or out.is_dumb_terminal:
-        for picture in replay.strip(pictures, frames or 6):
-            out.print(picture.text if out.is_terminal else picture.plain, highlight=False)
-    else:
-        replay.play_live(pictures, out, speed=speed)
+    for name in "12345" if environment is None else [environment]:
+        scenes = sample_scenes(name, [episode], seed)
+        out.print(scene_picture(scenes, width=room[0], height=room[1], ascii_only=ascii_only))
+        out.print(ENVIRONMENTS.get(name, ""), end="\n\n")
+
+
+def _play(
+    names: list[str | None],
+    where: tuple[str | None, int, int],
+    settings: dict[str, Any],
+    threads: int | None,
+    device: str,
+) -> Any:
+    """A test episode as every policy plays it, in the world of the first one and judged by its reward.
+
+    `where` is the environment (None: the first policy's), the episode's number and the seed.
+    """
+    from sfmrl.episodes import play_episodes
+    from sfmrl.replay import Replay
+    from sfmrl.scenarios import sample_scenes
+    from sfmrl.story import tell
+
+    environment, episode, seed = where
+    policies = [choose(name, settings, threads, device) for name in names]
+    config = policies[0][2]
+    scene = sample_scenes(environment or config.reinforcement.test_environment, [episode], seed)
+    how = (config.reward, config.simulation)
+    stories = []
+    for policy, _, _ in policies:
+        record = play_episodes(scene, policy, *how, discount=config.discount)
+        stories.append(tell(record, 0, policy, config.reward, config.discount))
+    labels = [Path(name).name for _, name, _ in policies]
+    if len(set(labels)) < len(labels):  # runs of one name in two folders
+        labels = [name for _, name, _ in policies]
+    return Replay(tuple(stories), tuple(labels))
+
+
+def _write(files: dict[str, Path], replay: Any, room: tuple[int, int], count: int | None, speed: float) -> None:
+    """Write the replay to the files of some flags, and say so."""
+    from sfmrl import exports
+    from sfmrl.files import write_atomically
+
+    everything = replay.frames(*room) if "--cast" in files or ("--txt" in files and not count) else []
+    stills = replay.frames(*room, count or 1) if "--svg" in files or count else []
+    for flag, path in files.items():
+        shown = everything if flag == "--cast" or (flag == "--txt" and not count) else stills
+        if flag == "--txt":
+            text = exports.to_txt(shown)
+        elif flag == "--svg":
+            text = exports.to_svg(shown, replay.title, colour=not out.no_color)
+        else:
+            text = exports.to_cast(shown, replay.title, speed, colour=not out.no_color)
+        write_atomically(path, lambda file, data=text.encode(): file.write(data), checked=False)
+        size = f"{room[0]}x{room[1]}, {len(text.encode()) / 1000:.0f} kB"
+        say(f"wrote {path}: {len(shown)} {'frame' if len(shown) == 1 else 'frames'} of {size}")
