@@ -24,10 +24,10 @@ from sfmrl.story import Story, scene_name, tell
 from sfmrl.timeline import sentence, timeline
 
 PANEL = (32, 44)  # columns of the panel, at least and at most
-BESIDE = 30  # columns that each of two planes side by side must have
-WHOLE = 80  # ... and with which each has its panel beside it
-FACTS = 3  # lines of facts below each of two planes, at least; from PANELLED on they are a panel
-PANELLED = 9
+BESIDE = 61  # columns from which two policies stand side by side, else one above the other
+WHOLE = 161  # ... and from which each has its panel
+STACKED = 16  # lines that two, one above the other, must have
+PANELLED = 9  # lines of facts below a plane from which they are a panel
 Item = TypeVar("Item")
 
 
@@ -83,13 +83,14 @@ class Replay:
         ]
         if len(sides) == 1:
             lines = sides[0].with_panel(width, height)
-        elif width < 2 * BESIDE + 1:
+        elif width < BESIDE:
             lines = sides[0].with_panel(width, -(-height // 2))
             lines += sides[1].with_panel(width, height - len(lines))
         else:
-            half = (width - 1) // 2
+            half, facts = (width - 1) // 2, 2 if all(story.attention is None for story in self.stories) else 3
             left, right = (
-                side.with_panel(half, height) if half >= WHOLE else side.above_facts(half, height) for side in sides
+                side.with_panel(half, height) if width >= WHOLE else side.above_facts(half, height, facts)
+                for side in sides
             )
             lines = [fitted(a, half) + Text(" ") + b for a, b in zip(left, right, strict=True)]
         return Frame(_joined(lines, width, height, self.ascii_only), max(side.time for side in sides))
@@ -207,28 +208,32 @@ class _Side:
         if size.panel:
             panel = panel_lines(self.story, self.t, len(lines), size.panel)
             lines = [line + Text(" ") + beside for line, beside in zip(lines, panel, strict=True)]
-        return lines + self._times(lines[0].cell_len)
+        return lines + self._times(lines[0].cell_len, width)
 
-    def above_facts(self, width: int, height: int) -> list[Text]:
-        """The plane as wide as it can be, facts below it in the lines that it leaves, and the timeline."""
+    def above_facts(self, width: int, height: int, facts: int) -> list[Text]:
+        """The plane as wide as it can be, facts below it in the lines that it leaves, and the timeline.
+
+        There are at least so many lines of `facts` where there are enough for the plane.
+        """
         span = np.ptp(self.places[np.isfinite(self.places).all(-1)], axis=0)[1]
         needed = span / fit_view(self.places, 1_000_000, width - 2).row  # rows of the plane
         most = max(height - 12, 0)
-        below = int(np.clip(height - 5 - needed, min(FACTS, most), most))
+        below = int(np.clip(height - 5 - needed, min(facts, most), most))
         size = _Size.within(width, height - below, self.places, panel=False)
         if not size.bordered:
             return self._plane(size.view)
         view = fit_view(self.places, size.view.rows, width - 2)
         lines = bordered(self._plane(view), self.title, view)
-        facts = panel_lines if below >= PANELLED else facts_lines
-        return lines + facts(self.story, self.t, below, width) + self._times(width)
+        told = panel_lines if below >= PANELLED else facts_lines
+        return lines + told(self.story, self.t, below, width) + self._times(width, width)
 
     def _plane(self, view: View) -> list[Text]:
         return moment(self.story, self.t, view, self.trails).lines()
 
-    def _times(self, columns: int) -> list[Text]:
-        """When it happened, and what."""
-        return [timeline(self.story, self.t, columns), fitted(sentence(self.story, self.t, columns), columns)]
+    def _times(self, columns: int, width: int) -> list[Text]:
+        """When it happened, in as many columns as the rest has, and what, in up to `width`."""
+        words = sentence(self.story, self.t, width)
+        return [timeline(self.story, self.t, columns), fitted(words, max(columns, min(words.cell_len, width)))]
 
 
 def _joined(lines: list[Text], width: int, height: int, ascii_only: bool) -> Text:

@@ -25,7 +25,7 @@ def ascii_render(
     environment: Environment = None,
     episode: Annotated[int, option("number of the test episode (default 0)", min=0)] = 0,
     seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
-    speed: Annotated[float, option("times real time (default 2)", min=0.01)] = 2.0,
+    speed: Annotated[float, option("times real time (default 2)", min=0.01, max=64)] = 2.0,
     frames: Annotated[int | None, option("so many stills instead of playing (default a pipe 6, SVG 1)", min=1)] = None,
     size: Annotated[str | None, option("COLUMNSxLINES (default the terminal's; in files 80x24)")] = None,
     ascii_only: Annotated[bool, option("7-bit characters only", "--ascii")] = False,
@@ -51,9 +51,10 @@ def ascii_render(
     if scenes:
         _print_scenes(environment, episode, seed, room, ascii_only)
         return
-    if versus and not (room[0] >= 61 or room[1] >= 16):
-        raise ConfigError(f"--versus needs 61 columns or 17 lines; here are {out.width} columns and {out.height} lines")
+    from sfmrl.replay import BESIDE, STACKED
 
+    if versus and not (room[0] >= BESIDE or room[1] >= STACKED):
+        raise ConfigError(f"--versus needs {BESIDE} columns or {STACKED} lines; here are {room[0]} and {room[1]}")
     replay = _play([policy, versus] if versus else [policy], (environment, episode, seed), settings, threads, device)
     replay = dataclasses.replace(replay, ascii_only=ascii_only)
     if files:
