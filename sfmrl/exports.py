@@ -50,7 +50,8 @@ def to_svg(frames: Sequence[Frame], title: str, colour: bool = True) -> str:
     """The frames one below the other as one picture."""
     console = _console(max(_columns(frame) for frame in frames), record=True)
     for k, frame in enumerate(frames):
-        console.print("\n" * (k > 0), frame.text if colour else Text(frame.plain), sep="", crop=False)
+        console.line(k > 0)
+        console.print(frame.text if colour else Text(frame.plain), crop=False)
     return console.export_svg(title=title, code_format=SVG, font_aspect_ratio=ASPECT)
 
 

@@ -81,13 +81,14 @@ class Replay:
             _Side(story, min(t, story.last), _titled(label, story), places, trails=not self.ascii_only)
             for story, label in zip(self.stories, self.labels, strict=True)
         ]
+        facts = 2 if all(story.attention is None for story in self.stories) else 3
         if len(sides) == 1:
             lines = sides[0].with_panel(width, height)
         elif width < BESIDE:
-            lines = sides[0].with_panel(width, -(-height // 2))
-            lines += sides[1].with_panel(width, height - len(lines))
+            lines = sides[0].above_facts(width, -(-height // 2), facts)
+            lines += sides[1].above_facts(width, height - len(lines), facts)
         else:
-            half, facts = (width - 1) // 2, 2 if all(story.attention is None for story in self.stories) else 3
+            half = (width - 1) // 2
             left, right = (
                 side.with_panel(half, height) if width >= WHOLE else side.above_facts(half, height, facts)
                 for side in sides
@@ -198,13 +199,17 @@ class _Side:
     def time(self) -> float:
         return float(self.story.time[self.t])
 
+    @property
+    def _timed_title(self) -> str:
+        return f"{self.time:.2f} s · {self.title}"
+
     def with_panel(self, width: int, height: int) -> list[Text]:
         """The plane with the panel beside it, and the timeline below."""
         size = _Size.within(width, height, self.places)
         lines = self._plane(size.view)
         if not size.bordered:
             return lines
-        lines = bordered(lines, self.title if size.panel else f"{self.time:.2f} s · {self.title}", size.view)
+        lines = bordered(lines, self.title if size.panel else self._timed_title, size.view)
         if size.panel:
             panel = panel_lines(self.story, self.t, len(lines), size.panel)
             lines = [line + Text(" ") + beside for line, beside in zip(lines, panel, strict=True)]
@@ -223,7 +228,7 @@ class _Side:
         if not size.bordered:
             return self._plane(size.view)
         view = fit_view(self.places, size.view.rows, width - 2)
-        lines = bordered(self._plane(view), self.title, view)
+        lines = bordered(self._plane(view), self.title if below else self._timed_title, view)
         told = panel_lines if below >= PANELLED else facts_lines
         return lines + told(self.story, self.t, below, width) + self._times(width, width)
 
