@@ -21,12 +21,13 @@ FILES = (80, 24)  # ... and those of frames in files, whatever the terminal
 @settings_options("simulation", "reward", "planner")
 def ascii_render(
     policy: PolicyName = None,
-    versus: Annotated[str | None, option("a second policy in the same episode, side by side and in step")] = None,
+    versus: Annotated[str | None, option("a second policy in the same episode, beside it and by its reward")] = None,
     environment: Environment = None,
     episode: Annotated[int, option("number of the test episode (default 0)", min=0)] = 0,
     seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
     speed: Annotated[float, option("times real time (default 2)", min=0.01, max=64)] = 2.0,
     frames: Annotated[int | None, option("so many stills instead of playing (default a pipe 6, SVG 1)", min=1)] = None,
+    at: Annotated[float | None, option("the still at this time, in s, instead of playing", min=0)] = None,
     size: Annotated[str | None, option("COLUMNSxLINES (default the terminal's; in files 80x24)")] = None,
     ascii_only: Annotated[bool, option("7-bit characters only", "--ascii")] = False,
     scenes: Annotated[bool, option("draw a sample of each environment, and play nothing", "--scenes")] = False,
@@ -44,8 +45,10 @@ def ascii_render(
     _check(files, overwrite)
     if scenes and (files or versus):
         raise ConfigError(f"--scenes plays nothing; leave out {next(iter(files), '--versus')}")
-    if frames and list(files) == ["--cast"]:
-        raise ConfigError("--frames chooses stills, but a recording has every step; leave it out or add --svg")
+    if frames and at is not None:
+        raise ConfigError("--frames and --at both choose stills; leave out one of them")
+    if (frames or at is not None) and list(files) == ["--cast"]:
+        raise ConfigError("--frames and --at choose stills, but a recording has every step; leave them out")
     room = _parsed(size) if size else FILES if files else (max(out.width, LEAST[0]), max(out.height - 1, LEAST[1]))
     ascii_only = ascii_only or (not files and not (out.encoding or "").lower().startswith("utf"))
     if scenes:
@@ -58,9 +61,9 @@ def ascii_render(
     replay = _play([policy, versus] if versus else [policy], (environment, episode, seed), settings, threads, device)
     replay = dataclasses.replace(replay, ascii_only=ascii_only)
     if files:
-        _write(files, replay, room, frames, speed)
-    elif frames or not out.is_terminal or out.is_dumb_terminal:
-        for picture in replay.frames(*room, frames or 6):
+        _write(files, replay, room, {"count": frames, "at": at}, speed)
+    elif frames or at is not None or not out.is_terminal or out.is_dumb_terminal:
+        for picture in replay.frames(*room, frames or 6, at):
             out.print(picture.text if out.is_terminal else picture.plain, markup=False, highlight=False, soft_wrap=True)
     else:
         from sfmrl.screen import play_live
@@ -135,21 +138,23 @@ def _play(
     return Replay(tuple(stories), tuple(labels))
 
 
-def _write(files: dict[str, Path], replay: Any, room: tuple[int, int], count: int | None, speed: float) -> None:
-    """Write the replay to the files of some flags, and say so."""
-    from sfmrl import exports
+def _write(files: dict[str, Path], replay: Any, room: tuple[int, int], stills: dict[str, Any], speed: float) -> None:
+    """Write the replay to the files of some flags, and say so; `stills` is what `Replay.frames` takes."""
+    from sfmrl.exports import to_cast, to_svg, to_txt
     from sfmrl.files import write_atomically
 
-    everything = replay.frames(*room) if "--cast" in files or ("--txt" in files and not count) else []
-    stills = replay.frames(*room, count or 1) if "--svg" in files or count else []
+    chosen = any(value is not None for value in stills.values())
     for flag, path in files.items():
-        shown = everything if flag == "--cast" or (flag == "--txt" and not count) else stills
-        if flag == "--txt":
-            text = exports.to_txt(shown)
-        elif flag == "--svg":
-            text = exports.to_svg(shown, replay.title, colour=not out.no_color)
+        if flag == "--svg":
+            shown = replay.frames(*room, **(stills if chosen else {"count": 1}))
+            text = to_svg(shown, replay.title, colour=not out.no_color)
+        elif flag == "--cast":
+            shown = replay.frames(*room)
+            text = to_cast(shown, replay.title, speed, colour=not out.no_color)
         else:
-            text = exports.to_cast(shown, replay.title, speed, colour=not out.no_color)
-        write_atomically(path, lambda file, data=text.encode(): file.write(data), checked=False)
-        size = f"{room[0]}x{room[1]}, {len(text.encode()) / 1000:.0f} kB"
-        say(f"wrote {path}: {len(shown)} {'frame' if len(shown) == 1 else 'frames'} of {size}")
+            shown = replay.frames(*room, **stills)
+            text = to_txt(shown)
+        data = text.encode()
+        write_atomically(path, lambda file, data=data: file.write(data), checked=False)
+        many = f"{len(shown)} {'frame' if len(shown) == 1 else 'frames'} of {room[0]}x{room[1]}"
+        say(f"wrote {path}: {many}, {len(data) / 1000:.0f} kB")

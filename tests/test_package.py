@@ -42,7 +42,7 @@ LEVELS = (
         "episodes",
     ),
     ("sweeps", "evaluation", "memory", "learning", "learner", "exploration", "runs", "imitation", "reinforcement"),
-    ("canvas", "story", "timeline", "panel", "plane", "screen", "replay", "exports"),
+    ("canvas", "story", "timeline", "panel", "plane", "layout", "screen", "replay", "exports"),
     ("options", "console", "session", "training_commands", "evaluation_commands", "replay_commands", "cli"),
 )
 ORDER = [name for level in LEVELS for name in level]
