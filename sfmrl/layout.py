@@ -71,7 +71,7 @@ class Side:
         lines = bordered(lines, self.title if size.panel else self._timed_title, size.view)
         if size.panel:
             panel = panel_lines(self.story, self.t, len(lines), size.panel)
-            lines = [line + Text(" ") + beside for line, beside in zip(lines, panel, strict=True)]
+            lines = [Text.assemble(line, " ", beside) for line, beside in zip(lines, panel, strict=True)]
         return lines + self._times(lines[0].cell_len, width)
 
     def above_facts(self, width: int, height: int, facts: int) -> list[Text]:

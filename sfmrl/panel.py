@@ -55,10 +55,10 @@ def panel_lines(story: Story, t: int, rows: int, columns: int) -> list[Text]:
 def facts_lines(story: Story, t: int, rows: int, columns: int) -> list[Text]:
     """The most needed of it at moment `t`, where there is no room for the panel: `rows` texts of `columns` columns."""
     clock = _clock(story, t, columns) if t == story.last else fitted(_now(story, t), columns, _gap(story, t))
-    push = Text("repulsion ", FAINT) + _strength(resultant(story.force[t]))
-    lines = [clock, fitted(push, columns, Text("return ", FAINT) + _signed(story.returns[t]))]
+    push = Text.assemble(("repulsion ", FAINT), _strength(resultant(story.force[t])))
+    lines = [clock, fitted(push, columns, Text.assemble(("return ", FAINT), _signed(story.returns[t])))]
     if story.attention is not None:
-        heeded = Text("attention", FAINT)
+        heeded = Text.assemble(("attention", FAINT))
         for element in _order(story, t):
             share = Text(f" {_name(story, element)} {story.attention[t, element]:.0%}")
             if heeded.cell_len + share.cell_len <= columns:

@@ -103,5 +103,5 @@ def bordered(lines: list[Text], title: str, view: View) -> list[Text]:
     head = Text(f" {title} ", "bold")
     head.truncate(view.columns - 2, overflow="ellipsis")
     over = Text.assemble(("╭─", FAINT), head, ("─" * (view.columns - 1 - head.cell_len) + "╮", FAINT))
-    under = Text("╰" + scale.rjust(view.columns - 1, "─") + "─╯", FAINT)
+    under = Text.assemble(("╰" + scale.rjust(view.columns - 1, "─") + "─╯", FAINT))
     return [over, *[Text.assemble(("│", FAINT), line, ("│", FAINT)) for line in lines], under]

@@ -89,7 +89,7 @@ class Replay:
                 side.with_panel(half, height) if width >= WHOLE else side.above_facts(half, height, facts)
                 for side in sides
             )
-            lines = [fitted(a, half) + Text(" ") + fitted(b, half) for a, b in zip(left, right, strict=True)]
+            lines = [Text.assemble(fitted(a, half), " ", fitted(b, half)) for a, b in zip(left, right, strict=True)]
         return Frame(joined(lines, width, height, self.ascii_only), max(side.time for side in sides))
 
     def frames(

@@ -306,6 +306,20 @@ def test_a_sarl_episode_is_told_with_its_reward(played):
     assert float(total) == pytest.approx(record.discounted_return[0], abs=1e-4)
 
 
+def test_what_is_faint_or_bold_stays_with_its_own_words():
+    story = tell(record_of(walk(), reward=0.25), 0)
+    console = screen()
+    for names, width in (("a",), 80), (("a", "b"), 80), (("a", "b"), 200):
+        text = Replay((story,) * len(names), names).frame(5, width, 24).text
+        start = -1
+        for _ in names:
+            start = text.plain.index("return", start + 1)
+            number = text.plain.index("+1.", start)
+            assert text.get_style_at_offset(console, start).dim
+            assert text.get_style_at_offset(console, number).bold
+            assert not text.get_style_at_offset(console, number).dim
+
+
 def test_too_close_is_marked_and_told():
     separations = np.full((8, 2), np.inf)
     separations[2:5, 1] = 0.15, 0.12, 0.18
