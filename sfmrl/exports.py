@@ -48,16 +48,17 @@ def to_txt(frames: Sequence[Frame]) -> str:
 
 def to_svg(frames: Sequence[Frame], title: str, colour: bool = True) -> str:
     """The frames one below the other as one picture."""
-    console = _console(max(_columns(frame) for frame in frames), record=True)
+    console = _console(_columns(frames), record=True)
     for k, frame in enumerate(frames):
-        console.line(k > 0)
+        if k:
+            console.line()
         console.print(frame.text if colour else Text(frame.plain), crop=False)
     return console.export_svg(title=title, code_format=SVG, font_aspect_ratio=ASPECT)
 
 
 def to_cast(frames: Sequence[Frame], title: str, speed: float = 1.0, colour: bool = True) -> str:
     """The frames in time, `speed` times as fast as it was: after the first, what has changed from one to the next."""
-    columns, rows = _columns(frames[0]), max(frame.text.plain.count("\n") + 1 for frame in frames)
+    columns, rows = _columns(frames), max(frame.text.plain.count("\n") + 1 for frame in frames)
     ascii_only = all(frame.plain.isascii() for frame in frames)
     lines = [json.dumps({"version": 2, "width": columns, "height": rows, "title": title}, ensure_ascii=ascii_only)]
     before: list[list[Cell]] = []
@@ -116,5 +117,5 @@ def _console(columns: int, **extra) -> Console:
     )
 
 
-def _columns(frame: Frame) -> int:
-    return max(map(len, frame.text.plain.split("\n")))
+def _columns(frames: Sequence[Frame]) -> int:
+    return max(len(line) for frame in frames for line in frame.text.plain.split("\n"))

@@ -103,7 +103,7 @@ def _print_scenes(environment: str | None, episode: int, seed: int, room: tuple[
 
     for name in "12345" if environment is None else [environment]:
         scenes = sample_scenes(name, [episode], seed)
-        out.print(scene_picture(scenes, width=room[0], height=room[1], ascii_only=ascii_only))
+        out.print(scene_picture(scenes, width=room[0], height=room[1], ascii_only=ascii_only), soft_wrap=True)
         out.print(ENVIRONMENTS.get(name, ""), end="\n\n")
 
 

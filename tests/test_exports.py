@@ -110,15 +110,21 @@ def test_both_planes_have_one_scale(stories):
         assert len({line.split("├")[1].count("─") for line in re.findall("1 m ├─+┤", frame.plain)}) == 1
 
 
-@pytest.mark.parametrize("names", [("orca",), ("orca", "linear")])
 @pytest.mark.parametrize("ascii_only", [False, True])
-def test_a_cast_shows_every_frame_in_its_time(stories, names, ascii_only):
-    shown = replay(stories, *names, ascii_only=ascii_only)
-    frames = shown.frames(80, 24)[:30]
+@pytest.mark.parametrize(
+    ("names", "size", "width"),
+    [
+        (("orca",), (80, 24), 80),
+        (("orca", "linear"), (80, 24), 79),  # two halves and a column between them
+        (("linear",), (40, 11), 38),  # as wide as its longest sentence
+    ],
+)
+def test_a_cast_shows_every_frame_in_its_time(stories, names, size, width, ascii_only):
+    shown, height = replay(stories, *names, ascii_only=ascii_only), size[1]
+    frames = shown.frames(*size)[:30]
     cast = to_cast(frames, shown.title, speed=2.0)
     header, events = parsed(cast)
-    width = 80 if len(names) == 1 else 79  # two halves and a column between them
-    assert header == {"version": 2, "width": width, "height": 24, "title": shown.title}
+    assert header == {"version": 2, "width": width, "height": height, "title": shown.title}
     assert cast.isascii() == ascii_only
     assert [event[1] for event in events] == ["o"] * (len(frames) + 1)
     times = [event[0] for event in events]
@@ -127,9 +133,9 @@ def test_a_cast_shows_every_frame_in_its_time(stories, names, ascii_only):
     output = ""
     for frame, event in zip(frames, events, strict=False):
         output += event[2]
-        assert on_a_terminal(output, width, 24) == (frame.plain.split("\n"), False)
-    assert on_a_terminal(output + events[-1][2], width, 24) == (frames[-1].plain.split("\n"), True)
-    assert to_cast(shown.frames(80, 24)[:30], shown.title, speed=2.0) == cast
+        assert on_a_terminal(output, width, height) == (frame.plain.split("\n"), False)
+    assert on_a_terminal(output + events[-1][2], width, height) == (frames[-1].plain.split("\n"), True)
+    assert to_cast(shown.frames(*size)[:30], shown.title, speed=2.0) == cast
 
 
 def test_a_cast_keeps_the_colours_and_leaves_them_out_where_none_are_wanted(stories):
@@ -208,6 +214,13 @@ def test_the_command_writes_files_and_plays_nothing(sfmrl, tmp_path):
     assert (tmp_path / "a.svg").read_bytes() == before
     assert sfmrl(*words, "--svg", "a.svg", "--overwrite").returncode == 0
     assert (tmp_path / "a.svg").read_bytes() != before  # the last frame alone
+
+
+def test_a_size_is_kept_in_a_pipe(sfmrl):
+    for words in (("--scenes", "--environment", "2"), ("orca", "--at", "1")):
+        done = sfmrl("ascii-render", *words, "--size", "140x48")
+        assert done.returncode == 0, done.stderr
+        assert max(map(len, done.stdout.splitlines())) > 100  # COLUMNS
 
 
 @pytest.mark.parametrize(
