@@ -36,7 +36,8 @@ _HOME = {
     "recovery": ("RecoveringPolicy",),
     "policies": ("load_policy",),
     "episodes": ("Record", "play"),
-    "evaluation": ("evaluate", "evaluation_record", "metrics", "wilson"),
+    "intervals": ("wilson",),
+    "evaluation": ("evaluate", "evaluation_record", "metrics"),
 }
 _WHERE = {name: module for module, names in _HOME.items() for name in names}
 __all__ = sorted([*_WHERE, "__version__"])

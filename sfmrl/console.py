@@ -3,6 +3,7 @@
 import os
 import shlex
 import sys
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -10,6 +11,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
+
+from sfmrl.config import ConfigError
 
 WIDTH = 80  # columns of the metrics' table, at least
 
@@ -104,3 +107,27 @@ def _rest(row: dict[str, Any]) -> tuple[str, str, str]:
 
 def _print(table: Table) -> None:
     out.print(table, width=max(out.width, WIDTH), crop=False)  # in a narrow terminal lines wrap, but no number is cut
+
+
+def print_sheet(sheet: Any) -> None:
+    """A `reports.Sheet` as a table under its title, and an empty line."""
+    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, show_edge=False)
+    for number, heading in enumerate(sheet.headings):
+        table.add_column(heading, justify="right" if number else "left", no_wrap=True)
+    for row in sheet.rows:
+        table.add_row(*map(Text, row))
+    out.print(Text(sheet.title, "italic"))
+    _print(table)
+    out.print()
+
+
+def new_file(path: Path | None, flag: str, overwrite: bool) -> None:
+    """Raises ConfigError where a file that an option names cannot be written, or is there already."""
+    if path is None:
+        return
+    if path.is_dir():
+        raise ConfigError(f"--{flag} {path} is a folder; name a file")
+    if path.exists() and not overwrite:
+        raise ConfigError(f"{path} is there already; name another --{flag}, or replace it with --overwrite")
+    if not path.parent.is_dir():
+        raise ConfigError(f"there is no folder {path.parent} for --{flag} {path.name}")

@@ -1,6 +1,5 @@
 """How good is a policy: the paper's metrics over test episodes, with intervals, in all and by environment."""
 
-import math
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -9,6 +8,7 @@ import numpy as np
 
 from sfmrl.config import Config, ConfigError, Reward, Simulation
 from sfmrl.episodes import Record, play_episodes
+from sfmrl.intervals import wilson
 from sfmrl.lookahead import Policy
 from sfmrl.planner import solvable
 from sfmrl.policies import find_policy
@@ -123,16 +123,6 @@ def sweep_rows(policy: Policy, sweeps: Sequence[Sweep], **how: Any) -> list[dict
             row |= {name: result[name] for name in ("navigation_time", "total_reward")}
             rows.append(row | {name: result[name] for name in ("recovered",) if name in result})
     return rows
-
-
-def wilson(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
-    """The Wilson score interval of a rate, 95 % by default (Wilson, 1927)."""
-    if trials == 0:
-        return 0.0, 1.0
-    rate, spread = successes / trials, z * z / trials
-    centre = (rate + spread / 2) / (1 + spread)
-    half = z * math.sqrt(rate * (1 - rate) / trials + spread / (4 * trials)) / (1 + spread)
-    return max(centre - half, 0.0), min(centre + half, 1.0)
 
 
 def _summary(record: Record) -> dict[str, Any]:

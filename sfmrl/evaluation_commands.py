@@ -1,4 +1,4 @@
-"""The command that tests policies: `sfmrl eval`."""
+"""The commands that test policies: `sfmrl eval`, `sfmrl compare`, `sfmrl models`."""
 
 import json
 from pathlib import Path
@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from sfmrl.config import ConfigError
-from sfmrl.console import err, print_metrics, print_sweep, replay_command, say, say_result
+from sfmrl.config import ConfigError, suggest
+from sfmrl.console import err, new_file, print_metrics, print_sheet, print_sweep, replay_command, say, say_result
 from sfmrl.files import csv_text
 from sfmrl.options import Device, Environment, Overwrite, PolicyName, Threads, option, settings_options
 from sfmrl.session import choose
@@ -43,12 +43,7 @@ def evaluate_command(
     from sfmrl.sweeps import parse_sweep
 
     sweeps = [parse_sweep(text) for text in sweep or []]
-    if csv and csv.is_dir():
-        raise ConfigError(f"--csv {csv} is a folder; name a file")
-    if csv and csv.exists() and not overwrite:
-        raise ConfigError(f"{csv} is there already; name another --csv, or replace it with --overwrite")
-    if csv and not csv.parent.is_dir():
-        raise ConfigError(f"there is no folder {csv.parent} for --csv {csv.name}")
+    new_file(csv, "csv", overwrite)
     chosen, name, config = choose(policy, settings, threads, device)
     environment = config.reinforcement.test_environment if environment is None else environment
     how = {"environment": environment, "episodes": episodes, "seed": seed}
@@ -79,3 +74,68 @@ def evaluate_command(
         no_way = [str(failure["episode"]) for failure in result["failures"] if not failure["solvable"]]
         if no_way:
             say(f"unsolvable, the squares leave no way to the goal: {', '.join(no_way[:12])}")
+
+
+@app.command("compare", epilog="Example: sfmrl compare sarl sarl-sfm6 orca --environment table2")
+@settings_options("simulation", "reward", "planner")
+def compare_command(
+    policies: Annotated[list[str], typer.Argument(help="two or more, as for eval; all are compared with the first")],
+    environment: Environment = None,
+    episodes: Annotated[int, option("test episodes (default 500)", min=1)] = 500,
+    seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
+    as_json: Annotated[bool, option("print JSON", "--json")] = False,
+    csv: Annotated[Path | None, option("write a line an episode of each policy to this file")] = None,
+    overwrite: Overwrite = False,
+    threads: Threads = None,
+    device: Device = "cpu",
+    *,
+    settings: dict[str, Any],
+) -> None:
+    """Compare policies on the same episodes: differences with intervals, and where only one succeeds.
+
+    Total rewards are those of the first one's reward, and the environment its test mix, unless they are given.
+    """
+    from sfmrl.comparison import compare, comparison_rows, comparison_sheets
+    from sfmrl.evaluation import evaluation_record
+    from sfmrl.progress import show_progress
+
+    if len(policies) < 2 or len(set(policies)) < len(policies):
+        raise ConfigError(f"compare takes two or more different policies; it got {', '.join(policies)}")
+    new_file(csv, "csv", overwrite)
+    chosen = [choose(policy, settings, threads, device) for policy in policies]
+    first = chosen[0][2]
+    environment = first.reinforcement.test_environment if environment is None else environment
+    how = {"environment": environment, "episodes": episodes, "seed": seed}
+    how |= {"reward": first.reward, "simulation": first.simulation, "progress": show_progress(err)}
+    records = [evaluation_record(policy, **how) for policy, _, _ in chosen]
+    found = compare(records, [policy for policy, _, _ in chosen], policies)
+    if csv:
+        csv.write_text(csv_text(comparison_rows(records, policies)))
+    if as_json:
+        say_result(json.dumps({"environment": environment, "seed": seed} | found, indent=2))
+        return
+    for sheet in comparison_sheets(found, f"environment {environment}, {episodes} episodes, seed {seed}"):
+        print_sheet(sheet)
+    if found["differing"]:
+        number = found["differing"][0]["episode"]
+        say("see one: " + replay_command(policies[0], environment, seed, number, settings))
+
+
+@app.command(epilog="Example: sfmrl models sarl-sfm6")
+def models(
+    name: Annotated[str | None, typer.Argument(help="print this one's card (default list all)")] = None,
+    as_json: Annotated[bool, option("print JSON", "--json")] = False,
+) -> None:
+    """List the trained networks that come with sfmrl, one for each row of the paper's tables."""
+    from sfmrl.models import model_card, model_names
+    from sfmrl.reports import model_sheets
+
+    names = model_names()
+    if name is not None and name not in names:
+        raise ConfigError(f"there is no model {name}; there are {', '.join(names)}{suggest(name, names)}")
+    cards = {each: model_card(each) for each in ([name] if name else names)}
+    if as_json:
+        say_result(json.dumps(cards[name] if name else cards, indent=2))
+        return
+    for sheet in model_sheets(cards):
+        print_sheet(sheet)

@@ -36,6 +36,9 @@ Threads = Annotated[int | None, option("threads to use (default one a core)", mi
 Device = Annotated[str, option("torch device: cpu, cuda, ... (default cpu)")]
 RunFolder = Annotated[Path | None, option("run folder to make (default a new one under runs/)")]
 Resume = Annotated[Path | None, option("go on with this run, to the same bits as if it had never stopped")]
+Continue = Annotated[
+    bool, option("if --run is there already, go on with it; leave it be if it is finished", "--continue")
+]
 Overwrite = Annotated[bool, option("replace what is there already", "--overwrite")]
 Variant = Annotated[str | None, option(f"the paper's variant: {', '.join(VARIANTS)} (default sarl)")]
 PolicyName = Annotated[

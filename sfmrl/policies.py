@@ -7,6 +7,7 @@ import numpy as np
 from sfmrl.config import CROWD_FORCE, ConfigError, suggest
 from sfmrl.crowd import World, orca_crowd
 from sfmrl.lookahead import Policy, SarlPolicy, available_cores
+from sfmrl.models import model_names, model_weights
 from sfmrl.recovery import with_recovery
 from sfmrl.sfm import sfm_velocities
 
@@ -49,18 +50,21 @@ def find_policy(policy: str | Policy) -> Policy:
 
 
 def load_policy(name_or_path: str | Path, threads: int | None = None, device: str = "cpu") -> Policy:
-    """The policy of a name (linear, orca, sfm), a run folder, or a weights file (sfmrl's or a CrowdNav SARL's).
+    """The policy of a name: linear, orca, sfm, a model that comes with sfmrl (sarl, sarl-sfm6, ...), a run folder, or a
+    weights file (sfmrl's or a CrowdNav SARL's).
 
     A CrowdNav file says nothing of its reward: it looks ahead with CRI's. Raises ConfigError where there is no such
     policy, DamagedFile where a run's weights are not what was written.
     """
     if str(name_or_path) in POLICIES:
         return POLICIES[str(name_or_path)]
-    path = Path(name_or_path)
+    models = model_names()
+    path = model_weights(str(name_or_path)) if str(name_or_path) in models else Path(name_or_path)
     if not path.exists():
-        known = ", ".join(POLICIES)
+        known = [*POLICIES, *models]
         raise ConfigError(
-            f"there is no policy {name_or_path}; name {known}, a run folder or a weights file{suggest(path, POLICIES)}"
+            f"there is no policy {name_or_path}; name {', '.join(POLICIES)}, a model (see sfmrl models), a run folder "
+            f"or a weights file{suggest(path, known)}"
         )
     if path.is_dir():
         if not (path / "run.json").exists() and not (path / WEIGHTS).exists():

@@ -136,14 +136,16 @@ def train_stretch(
                 raise Interrupted
 
 
-def start_run(config: Config, source: Path | None, from_scratch: bool, folder: Path | None, overwrite: bool) -> Run:
+def start_run(config: Config, source: Path | None, from_scratch: bool, folder: Path | None, **existing: bool) -> Run:
     """Make the folder of a new training that goes on from imitation run `source`, or from the newest that fits.
+
+    `existing` says what becomes of a folder that is there already, as for `create_run`.
 
     A run fits that was made under the same preset, seed and simulation; its reward and state do not matter. Raises
     ConfigError, with what to type, where there is none.
     """
     if from_scratch:
-        return create_run("rl", config, folder, overwrite=overwrite)
+        return create_run("rl", config, folder, **existing)
     if source is None:
         fitting = (path for path in run_folders("il") if fits(path, config))
         source = next(fitting, None)
@@ -162,7 +164,7 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
         raise ConfigError(f"{folder} is the imitation run to start from; name another --run")
     config = replace(config, imitation=imitation.config.imitation)
     demonstrations = read_sums(source)[DEMONSTRATIONS]
-    return create_run("rl", config, folder, source, overwrite=overwrite, demonstrations=demonstrations)
+    return create_run("rl", config, folder, source, **existing, demonstrations=demonstrations)
 
 
 def fits(folder: Path, config: Config) -> bool:

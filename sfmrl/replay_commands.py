@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from sfmrl.config import ConfigError
-from sfmrl.console import out, say
+from sfmrl.console import new_file, out, say
 from sfmrl.options import Device, Environment, Overwrite, PolicyName, Threads, option, settings_options
 from sfmrl.session import choose
 
@@ -42,7 +42,10 @@ def ascii_render(
 ) -> None:
     """Replay a test episode in the terminal, or write it to files."""
     files = {flag: path for flag, path in (("--svg", svg), ("--cast", cast), ("--txt", txt)) if path}
-    _check(files, overwrite)
+    for flag, path in files.items():
+        new_file(path, flag.removeprefix("--"), overwrite)
+    if len({path.resolve() for path in files.values()}) < len(files):
+        raise ConfigError(f"{' and '.join(files)} name the same file; each needs its own")
     if scenes and (files or versus):
         raise ConfigError(f"--scenes plays nothing; leave out {next(iter(files), '--versus')}")
     if frames and at is not None:
@@ -72,19 +75,6 @@ def ascii_render(
             return replay.frame(t, *(room if size else (columns, lines))).text
 
         play_live(draw, replay.last, out, speed, replay.time_step)
-
-
-def _check(files: dict[str, Path], overwrite: bool) -> None:
-    """Hold the paths of some flags to what can be written without loss; raises ConfigError."""
-    for flag, path in files.items():
-        if path.is_dir():
-            raise ConfigError(f"{flag} {path} is a folder; name a file")
-        if path.exists() and not overwrite:
-            raise ConfigError(f"{path} is there already; name another {flag}, or replace it with --overwrite")
-        if not path.parent.is_dir():
-            raise ConfigError(f"there is no folder {path.parent} for {flag} {path.name}")
-    if len({path.resolve() for path in files.values()}) < len(files):
-        raise ConfigError(f"{' and '.join(files)} name the same file; each needs its own")
 
 
 def _parsed(size: str) -> tuple[int, int]:

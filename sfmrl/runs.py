@@ -113,21 +113,22 @@ def create_run(
     imitation: Path | None = None,
     *,
     overwrite: bool = False,
+    go_on: bool = False,
     **facts: Any,
 ) -> Run:
     """Make a run folder: the one named, or a new one under runs/ whose name says kind, variant and seed.
 
     Raises ConfigError where a name in the config stands for nothing, and where the folder is there already and
-    `overwrite` is not set; then only a run (or an empty folder) is ever replaced. `imitation` is the run that this one
-    goes on from; it is kept relative to the new folder, so that both can be moved. `facts` go into run.json.
+    `overwrite` is not set; then only a run (or an empty folder) is ever replaced. With `go_on` a run that is there
+    already is opened instead, if it has this very config. `imitation` is the run that this one goes on from; it is kept
+    relative to the new folder, so that both can be moved. `facts` go into run.json.
     """
-    for environment in (
-        config.imitation.environment,
-        config.reinforcement.environment,
-        config.reinforcement.test_environment,
-    ):
+    schedule = config.reinforcement
+    for environment in (config.imitation.environment, schedule.environment, schedule.test_environment):
         parse_mix(environment)
     reward_terms(config.reward)
+    if go_on and folder is not None and kind_of(folder):
+        return _same_run(folder, kind, config)
     config = replace(config, precision=resolved(config.precision))
     if folder is None:
         name = f"{kind}-{variant_name(config)}-seed{config.seed}"
@@ -154,6 +155,18 @@ def create_run(
     run = Run(folder, kind, config, facts)
     write_atomically(folder / "config.json", lambda file: file.write(config.to_json().encode()))
     write_atomically(folder / "run.json", lambda file: file.write(json.dumps(facts, indent=2).encode()))
+    return run
+
+
+def _same_run(folder: Path, kind: str, config: Config) -> Run:
+    """The run in a folder; raises ConfigError, naming a setting, where it was begun with another config."""
+    run = open_run(folder, kind)
+    if config.precision == "auto":
+        config = replace(config, precision=run.config.precision)  # as it was resolved where the run began
+    for pair in zip(run.config.to_json().split("\n"), config.to_json().split("\n"), strict=True):
+        begun, asked = (line.strip(" ,") for line in pair)
+        if begun != asked:
+            raise ConfigError(f"{folder} was begun with {begun}, not {asked}; name another --run")
     return run
 
 

@@ -30,6 +30,22 @@ def reopen(kind: str, folder: Path, given: list[Any]) -> Any:
     return open_run(folder, kind)
 
 
+def existing(folder: Path | None, overwrite: bool, go_on: bool) -> dict[str, bool]:
+    """What becomes of a run folder that is there already."""
+    if go_on and folder is None:
+        raise ConfigError("--continue needs the folder to go on with; name it with --run")
+    if go_on and overwrite:
+        raise ConfigError("--continue and --overwrite exclude each other")
+    return {"overwrite": overwrite, "go_on": go_on}
+
+
+def finished(run: Any) -> bool:
+    """Whether nothing is left to do, and says so."""
+    if run.finished:
+        say(f"{run.folder} is finished already")
+    return run.finished
+
+
 def usable(device: str) -> str:
     """The name of a torch device, once something has been put there."""
     import torch

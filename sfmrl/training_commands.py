@@ -7,8 +7,8 @@ import typer
 
 from sfmrl.config import Config, ConfigError
 from sfmrl.console import print_metrics, say
-from sfmrl.options import Device, Overwrite, Resume, RunFolder, Threads, Variant, option, settings_options
-from sfmrl.session import new_config, reopen, train, usable, use_threads
+from sfmrl.options import Continue, Device, Overwrite, Resume, RunFolder, Threads, Variant, option, settings_options
+from sfmrl.session import existing, finished, new_config, reopen, train, usable, use_threads
 
 app = typer.Typer()
 
@@ -20,6 +20,7 @@ def il(
     run: RunFolder = None,
     resume: Resume = None,
     overwrite: Overwrite = False,
+    go_on: Continue = False,
     threads: Threads = None,
     device: Device = "cpu",
     *,
@@ -32,9 +33,11 @@ def il(
     workers = use_threads(threads)
     device = usable(device)
     if resume:
-        current = reopen("il", resume, [variant, run, overwrite or None, *settings.values()])
+        current = reopen("il", resume, [variant, run, overwrite or None, go_on or None, *settings.values()])
     else:
-        current = create_run("il", new_config(variant, settings), run, overwrite=overwrite)
+        current = create_run("il", new_config(variant, settings), run, **existing(run, overwrite, go_on))
+    if go_on and finished(current):
+        return
     train(current, lambda progress, stop: imitate(current, progress, stop, threads=workers, device=device))
     plain, config = Config(), current.config
     flags = "".join(
@@ -56,6 +59,7 @@ def rl(
     run: RunFolder = None,
     resume: Resume = None,
     overwrite: Overwrite = False,
+    go_on: Continue = False,
     threads: Threads = None,
     device: Device = "cpu",
     *,
@@ -68,7 +72,9 @@ def rl(
     device = usable(device)
     if resume:
         current = reopen(
-            "rl", resume, [variant, source, from_scratch or None, run, overwrite or None, *settings.values()]
+            "rl",
+            resume,
+            [variant, source, from_scratch or None, run, overwrite or None, go_on or None, *settings.values()],
         )
     else:
         if source and from_scratch:
@@ -76,7 +82,9 @@ def rl(
         schedule = settings.get("reinforcement", {})
         if "environment" in schedule:
             schedule.setdefault("test_environment", schedule["environment"])
-        current = start_run(new_config(variant, settings), source, from_scratch, run, overwrite)
+        current = start_run(new_config(variant, settings), source, from_scratch, run, **existing(run, overwrite, go_on))
+    if go_on and finished(current):
+        return
     if current.imitation:
         say(f"from imitation run {current.imitation}")
     result = train(

@@ -305,7 +305,7 @@ def training() -> None:
             imitate(il, clock, stop, threads=CORES)
             taught_after = time.perf_counter() - start
             spent_before, spent = spent, {}
-            rl = start_run(make_config(variant="sarl-sfm2"), il.folder, False, Path(folder) / "rl", False)
+            rl = start_run(make_config(variant="sarl-sfm2"), il.folder, False, Path(folder) / "rl")
             result = reinforce(rl, clock, stop, lambda text: None, threads=CORES)
             whole = time.perf_counter() - start
     for title, parts, total in (("il", spent_before, taught_after), ("rl", spent, whole - taught_after)):

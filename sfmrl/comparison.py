@@ -1,0 +1,112 @@
+"""Policies on the same episodes: who succeeds where others fail, and how sure the differences are."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from sfmrl.config import ConfigError
+from sfmrl.episodes import Record
+from sfmrl.evaluation import RATES, episode_rows, metrics
+from sfmrl.intervals import holm, paired_difference
+from sfmrl.lookahead import Policy
+from sfmrl.reports import Sheet, p_value, rate
+
+LISTED = 20  # differing episodes that the terminal shows; JSON has all
+
+
+def compare(records: Sequence[Record], policies: Sequence[Policy], names: Sequence[str]) -> dict[str, Any]:
+    """What records of the same test episodes say of their policies; plain values, ready for JSON.
+
+    `policies`: each one's metrics, and for all but the first the differences from the first: `success`, and the
+    `navigation_time` (s) of the episodes in which both succeed, each with a 95 % interval over episodes, the p-value of
+    no difference and the same by Holm for all the policies compared. `differing`: the episodes in which not all
+    policies, or none, succeed. Raises ConfigError unless the episodes are the same.
+    """
+    first = records[0]
+    for record in records:
+        if not np.array_equal(record.scenes.start, first.scenes.start, equal_nan=True):
+            raise ConfigError("policies can only be compared on the same episodes")
+    found = []
+    for record, policy, name in zip(records, policies, names, strict=True):
+        whole = metrics(record, policy)
+        kept = ("episodes", *RATES, "intervals", "navigation_time", "total_reward", "recovered")
+        found.append({"policy": name} | {key: whole[key] for key in kept if key in whole})
+    for row, record in zip(found[1:], records[1:], strict=True):
+        row["less_first"] = _difference(record, first)
+    for metric in ("success", "navigation_time"):
+        gaps = [row["less_first"][metric] for row in found[1:] if row["less_first"][metric]]
+        for gap, p in zip(gaps, holm(np.array([gap["p"] for gap in gaps])), strict=True):
+            gap["p_holm"] = float(p)
+    return {"policies": found, "differing": _differing(records, names)}
+
+
+def _difference(record: Record, first: Record) -> dict[str, Any]:
+    """A record's success and navigation time less the first's; None for the time where both never succeed."""
+    ours, theirs = (r.outcome == "success" for r in (record, first))
+    both = ours & theirs
+    times = [r.time[both][None] for r in (record, first)]
+    found = {
+        "success": vars(paired_difference(ours[None], theirs[None], np.random.default_rng(0))),
+        "navigation_time": vars(paired_difference(*times, np.random.default_rng(0))) if both.any() else None,
+    }
+    return found | {"only_this": int((ours & ~theirs).sum()), "only_first": int((theirs & ~ours).sum())}
+
+
+def _differing(records: Sequence[Record], names: Sequence[str]) -> list[dict[str, Any]]:
+    """Episodes in which some succeed and some fail, with every policy's outcome."""
+    success = np.array([record.outcome == "success" for record in records])
+    where = np.flatnonzero(success.any(axis=0) & ~success.all(axis=0))
+    scenes = records[0].scenes
+    return [
+        {
+            "episode": int(scenes.episode[e]),
+            "environment": str(scenes.environment[e]),
+            "outcomes": {name: str(record.outcome[e]) for name, record in zip(names, records, strict=True)},
+        }
+        for e in where
+    ]
+
+
+def comparison_rows(records: Sequence[Record], names: Sequence[str]) -> list[dict[str, Any]]:
+    """A line for each episode of each policy, for a CSV file."""
+    return [{"policy": n} | row for n, record in zip(names, records, strict=True) for row in episode_rows(record)]
+
+
+def comparison_sheets(found: dict[str, Any], title: str) -> list[Sheet]:
+    """What `compare` found, for the terminal."""
+    first, *others = found["policies"]
+    rates = []
+    for row in found["policies"]:
+        low, high = row["intervals"]["success"]
+        time = "-" if row["navigation_time"] is None else f"{row['navigation_time']:.2f}"
+        numbers = f"{rate(row['success'])} {rate(low)}-{rate(high)}", rate(row["collision"]), rate(row["timeout"])
+        rates.append((row["policy"], *numbers, time, f"{row['total_reward']:.4f}"))
+    gaps = []
+    for row in others:
+        gap = row["less_first"]
+        success, time = gap["success"], gap["navigation_time"]
+        slower = "-" if time is None else f"{time['mean']:.2f} {time['low']:.2f} to {time['high']:.2f}"
+        gaps.append(
+            (
+                row["policy"],
+                f"{rate(success['mean'])} {rate(success['low'])} to {rate(success['high'])}",
+                p_value(success["p_holm"]),
+                str(gap["only_this"]),
+                str(gap["only_first"]),
+                slower,
+            )
+        )
+    names = [row["policy"] for row in found["policies"]]
+    lines = [(str(d["episode"]), d["environment"], *d["outcomes"].values()) for d in found["differing"]]
+    less = ("policy", "success less the first's", "p (Holm)", "only\nthis", "only\nfirst", "nav. time less the first's")
+    sheets = [
+        Sheet(title, ("policy", "success", "collision", "time-out", "nav.\ntime", "total\nreward"), rates),
+        Sheet(f"Differences from {first['policy']}, with 95 % intervals over episodes", less, gaps),
+    ]
+    if lines:
+        count = f"{len(lines)} episodes" + (f", the first {LISTED}" if len(lines) > LISTED else "")
+        sheets.append(
+            Sheet(f"Where some succeed and some do not: {count}", ("episode", "env.", *names), lines[:LISTED])
+        )
+    return sheets

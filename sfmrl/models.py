@@ -1,0 +1,32 @@
+"""Trained networks that come with sfmrl, a weights file and a model card each, under the names of the tables' rows.
+
+A card says how its network was made (variant, preset, seed, commands, versions), what it does (figures with intervals),
+and the SHA-256 of its weights.
+"""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from sfmrl.files import DamagedFile
+
+FOLDER = Path(__file__).parent / "models"
+
+
+def model_names() -> list[str]:
+    """What `load_policy` takes for the networks that come with sfmrl."""
+    return sorted(path.stem for path in FOLDER.glob("*.json"))
+
+
+def model_card(name: str) -> dict[str, Any]:
+    """A network's card."""
+    return json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def model_weights(name: str) -> Path:
+    """A network's weights file; raises DamagedFile where it is not the one that its card describes."""
+    path = FOLDER / f"{name}.pt"
+    if not path.exists() or hashlib.sha256(path.read_bytes()).hexdigest() != model_card(name)["sha256"]:
+        raise DamagedFile(f"{path} is not what sfmrl came with; install sfmrl again")
+    return path

@@ -1,0 +1,198 @@
+"""A table's findings for people and programs: sheets for the terminal and for Markdown, lines for CSV."""
+
+from dataclasses import dataclass
+from typing import Any
+
+PAPERS = ("success", "navigation_time", "total_reward")  # metrics that the paper reports under the same name
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table of texts; the first column's are names."""
+
+    title: str
+    headings: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+
+    def markdown(self) -> str:
+        """As Markdown."""
+        lines = [self.headings, ("---",) + ("---:",) * (len(self.headings) - 1), *self.rows]
+        body = "\n".join(f"| {' | '.join(line)} |".replace("\n", " ") for line in lines)
+        return f"{self.title}\n\n{body}\n"
+
+
+def sheets(found: list[dict[str, Any]], contrasts: list[dict[str, Any]], title: str) -> list[Sheet]:
+    """The findings in sheets of up to 80 columns: rates, every seed's, differences from SARL, and what causes them."""
+    made = [
+        Sheet(
+            f"{title}; 95 % intervals over seeds",
+            (
+                "row",
+                "paper",
+                "success",
+                "people +\nsquares",
+                "time-out",
+                "nav.\ntime",
+                "total\nreward",
+                "the paper\nis",
+            ),
+            [_rates(row) for row in found],
+        ),
+        Sheet(
+            "Every seed's success; Wilson: what the test episodes alone leave open",
+            ("row", "sd", "Wilson", "seeds " + _seeds(found)),
+            [_points(row) for row in found],
+        ),
+        Sheet(
+            "Best validation; time with time-outs as 25 s; until validation success 0.9",
+            ("row", "best", "time, s", "episodes", "steps", "runs"),
+            [_course(row) for row in found],
+        ),
+    ]
+    compared = [row for row in found if row["difference"]]
+    if compared:
+        heads = ("row", "success\nless SARL's", "95 %", "p", "p (Holm)", "paper", "the paper is")
+        made.append(Sheet("Differences from SARL on the same episodes", heads, [_difference(row) for row in compared]))
+    if contrasts:
+        names = tuple(dict.fromkeys(contrast["of"] for contrast in contrasts))
+        changes = [_contrast(*line, names, contrasts) for line in CONTRASTED]
+        made.append(Sheet("What each ingredient changes, with and without the other", ("", *names), changes))
+    return made
+
+
+def _seeds(found: list[dict[str, Any]]) -> str:
+    every = sorted({seed for row in found for seed in row["seeds"]})
+    runs = every == list(range(every[0], every[-1] + 1))
+    return f"{every[0]}-{every[-1]}" if runs and len(every) > 1 else ", ".join(map(str, every))
+
+
+def rate(value: float | None) -> str:
+    """A rate to three digits, without its 0."""
+    if value is None:
+        return "-"
+    text = f"{value:.3f}"
+    return text[1:] if text.startswith("0") else "-" + text[2:] if text.startswith("-0") else text
+
+
+def p_value(p: float) -> str:
+    """A p-value to three digits."""
+    return "<.001" if p < 0.001 else rate(p)
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _between(low: float | None, high: float | None, form: Any = rate) -> str:
+    return "-" if low is None else f"{form(low)} to {form(high)}"
+
+
+def _with_interval(figure: dict[str, Any]) -> str:
+    interval = "" if figure["low"] is None else f" {rate(figure['low'])}-{rate(figure['high'])}"
+    return rate(figure["mean"]) + interval
+
+
+def _rates(row: dict[str, Any]) -> tuple[str, ...]:
+    mean = {name: figure["mean"] for name, figure in row["figures"].items()}
+    success = row["figures"]["success"]
+    return (
+        row["row"],
+        "/".join(rate(value).removesuffix("0") for value in row["paper"]["success"]),
+        _with_interval(success),
+        f"{rate(mean['human_collision'])}+{rate(mean['square_collision'])}",
+        rate(mean["timeout"]),
+        _number(mean["navigation_time"], ".2f"),
+        _number(mean["total_reward"], ".3f"),
+        row["verdict"],
+    )
+
+
+def _points(row: dict[str, Any]) -> tuple[str, ...]:
+    low, high = row["wilson_of_mean"]
+    success = row["figures"]["success"]
+    return row["row"], rate(success["deviation"]), f"{rate(low)}-{rate(high)}", " ".join(map(rate, success["values"]))
+
+
+def _course(row: dict[str, Any]) -> tuple[str, ...]:
+    figures = row["figures"]
+    best, episodes = figures["best_success"], figures["reached_episodes"]
+    return (
+        row["row"],
+        _with_interval(best),
+        _number(figures["navigation_time_charged"]["mean"], ".2f"),
+        _number(episodes["mean"], ".0f"),
+        _number(figures["reached_steps"]["mean"], ",.0f"),
+        f"{sum(value is not None for value in episodes['values'])} of {len(episodes['values'])}",
+    )
+
+
+def _difference(row: dict[str, Any]) -> tuple[str, ...]:
+    found = row["difference"]
+    numbers = rate(found["mean"]), _between(found["low"], found["high"]), p_value(found["p"]), p_value(found["p_holm"])
+    return row["row"], *numbers, rate(found["paper"]), found["verdict"]
+
+
+CONTRASTED = (
+    ("success", "success", rate),
+    ("validation success, first quarter", "early_success", rate),
+    ("training success, first quarter", "early_training_success", rate),
+    ("drop from one validation to the next", "drops", rate),
+    ("navigation time, s", "navigation_time", lambda value: f"{value:.2f}"),
+)
+
+
+def _contrast(title: str, metric: str, form: Any, names: tuple[str, ...], contrasts: list[dict]) -> tuple[str, ...]:
+    of = {c["of"]: c for c in contrasts if c["in"] == metric}
+    return title, *(f"{form(of[n]['mean'])} {_between(of[n]['low'], of[n]['high'], form)}" for n in names)
+
+
+def csv_rows(found: list[dict[str, Any]], contrasts: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A line a figure: of every seed, and (seed "all") the mean with its interval and the paper's."""
+    lines = []
+
+    def line(row: str, metric: str, seed: Any, value: Any, **more: Any) -> None:
+        empty = dict.fromkeys(("low", "high", "paper", "p_holm"), "")
+        lines.append({"row": row, "metric": metric, "seed": seed, "value": value} | empty | more)
+
+    for row in found:
+        for metric, figure in row["figures"].items():
+            paper = "/".join(map(str, row["paper"][metric])) if metric in PAPERS else ""
+            line(row["row"], metric, "all", figure["mean"], low=figure["low"], high=figure["high"], paper=paper)
+            for seed, value in zip(row["seeds"], figure["values"], strict=True):
+                line(row["row"], metric, seed, value)
+        for seed, (low, high), value in zip(
+            row["seeds"], row["wilson"], row["figures"]["success"]["values"], strict=True
+        ):
+            line(row["row"], "success_wilson", seed, value, low=low, high=high)
+        if row["difference"]:
+            gap = {name: row["difference"][name] for name in ("low", "high", "paper", "p_holm")}
+            line(row["row"], "success_less_sarl", "all", row["difference"]["mean"], **gap)
+    for contrast in contrasts:
+        gap = {name: contrast[name] for name in ("low", "high")}
+        line(contrast["of"], f"{contrast['in']}_difference", "all", contrast["mean"], **gap)
+    return lines
+
+
+def model_sheets(cards: dict[str, dict[str, Any]]) -> list[Sheet]:
+    """Model cards in a list; one alone in full."""
+    if len(cards) == 1:
+        (card,) = cards.values()
+        lines = [(name, value if isinstance(value, str) else _plain_text(value)) for name, value in card.items()]
+        return [Sheet(f"Model {card['name']}", ("", ""), lines)]
+    heads = ("model", "preset", "seed", "tested on", "success alone", "with recovery", "nav.\ntime")
+    rows = []
+    for name, card in cards.items():
+        alone, helped = card["alone"], card["with_recovery"]
+        rates = (f"{rate(t['success'])} {'-'.join(map(rate, t['interval']))}" for t in (alone, helped))
+        time = f"{helped['navigation_time']:.2f}"
+        rows.append((name, card["preset"], str(card["seed"]), card["environment"], *rates, time))
+    return [Sheet("Models that come with sfmrl; 95 % Wilson intervals", heads, rows)]
+
+
+def _plain_text(value: Any) -> str:
+    """A card's value in a line or several."""
+    if isinstance(value, dict):
+        return "\n".join(f"{name} {_plain_text(inner)}" for name, inner in value.items())
+    if isinstance(value, list):
+        return ("\n" if any(isinstance(item, str) for item in value) else " to ").join(map(_plain_text, value))
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

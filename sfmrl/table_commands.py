@@ -1,0 +1,147 @@
+"""The commands that make the paper's tables and its validation figure: `sfmrl table`, `sfmrl figure`."""
+
+import io
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sfmrl.config import ConfigError
+from sfmrl.console import err, new_file, out, print_sheet, say, say_result
+from sfmrl.files import csv_text
+from sfmrl.options import Overwrite, option
+from sfmrl.tables import TABLES, make_jobs, parse_rows, parse_seeds
+from sfmrl.variants import PRESETS
+
+app = typer.Typer()
+
+Number = Annotated[int, typer.Argument(help="1 (environments 1 and 2) or 2 (environments 2 to 5)", min=1, max=2)]
+Seeds = Annotated[str, option("training seeds, 0-9 or 0,3,5-7 (default 0-9)")]
+Rows = Annotated[str | None, option("rows, as sarl,sarl-sfm6 (default all of the paper's)")]
+Preset = Annotated[str, option("schedule: quick or paper (default quick)")]
+Folder = Annotated[Path, option("where the run folders are (default runs/tables)")]
+TABLES_FOLDER = Path("runs/tables")
+
+
+@app.command(epilog="Example: sfmrl table 1 --seeds 0-4 --jobs 2")
+def table(
+    number: Number,
+    seeds: Seeds = "0-9",
+    rows: Rows = None,
+    preset: Preset = "quick",
+    folder: Folder = TABLES_FOLDER,
+    jobs: Annotated[int | None, option("trainings side by side (default one a core)", min=1)] = None,
+    on: Annotated[str, option("where to train: here, or ray (default here)")] = "here",
+    print_jobs: Annotated[bool, option("print the trainings as commands, and run none", "--print-jobs")] = False,
+    no_train: Annotated[bool, option("make the table from what is finished, train nothing", "--no-train")] = False,
+    as_json: Annotated[bool, option("print JSON", "--json")] = False,
+    csv: Annotated[Path | None, option("write a line a figure to this file")] = None,
+    markdown: Annotated[Path | None, option("write the tables to this file, as Markdown")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Train and test the rows of one of the paper's tables, and set them beside the paper's figures.
+
+    What is finished is not trained again, and what was stopped goes on: give the same command again.
+    """
+    from sfmrl.findings import contrasts, summarise
+    from sfmrl.reports import csv_rows, sheets
+
+    chosen, numbers = parse_rows(number, rows), parse_seeds(seeds)
+    if preset not in PRESETS:
+        raise ConfigError(f"there is no preset {preset!r}; choose {', '.join(PRESETS)}")
+    if on not in ("here", "ray"):
+        raise ConfigError(f"--on {on}: choose here or ray")
+    for flag, path in (("csv", csv), ("markdown", markdown)):
+        new_file(path, flag, overwrite)
+    trainings = make_jobs(number, preset, numbers, chosen, folder)
+    if print_jobs:
+        for job in trainings:
+            say_result(job.command)
+        return
+    if not no_train:
+        _train(trainings, on, jobs)
+    found = _read(folder, number, preset, chosen, numbers)
+    missing = len(chosen) * len(numbers) - sum(len(tested.seeds) for tested in found.values())
+    if missing:
+        say(f"{missing} of {len(chosen) * len(numbers)} trainings are not finished, and left out")
+    findings, changes = summarise(TABLES[number], found), contrasts(found) if number == 1 else []
+    title = f"Table {number}, {preset} preset, {TABLES[number].test_episodes} test episodes"
+    pages = sheets(findings, changes, title)
+    if csv:
+        csv.write_text(csv_text(csv_rows(findings, changes)))
+    if markdown:
+        markdown.write_text("\n".join(page.markdown() for page in pages))
+    if as_json:
+        what = {"table": number, "preset": preset, "environment": TABLES[number].environment}
+        say_result(json.dumps(what | {"rows": findings, "contrasts": changes}, indent=2))
+        return
+    for page in pages:
+        print_sheet(page)
+
+
+@app.command(epilog="Example: sfmrl figure 1 --svg validation.svg")
+def figure(
+    number: Number,
+    seeds: Seeds = "0-9",
+    rows: Rows = None,
+    preset: Preset = "quick",
+    folder: Folder = TABLES_FOLDER,
+    csv: Annotated[Path | None, option("write a line a validation to this file")] = None,
+    svg: Annotated[Path | None, option("write the figure to this file, as SVG")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Draw validation success over the trainings of a table: mean over seeds, and its 95 % interval shaded."""
+    from rich.console import Console
+
+    from sfmrl.curves import curve_rows, draw_curves
+
+    for flag, path in (("csv", csv), ("svg", svg)):
+        new_file(path, flag, overwrite)
+    lines = curve_rows(_read(folder, number, preset, parse_rows(number, rows), parse_seeds(seeds)))
+    if csv:
+        csv.write_text(csv_text(lines))
+    if svg:
+        paper = Console(record=True, width=120, file=io.StringIO())
+        for line in draw_curves(lines, 120, 48):
+            paper.print(line)
+        svg.write_text(paper.export_svg(title=f"Validation success, table {number}, {preset} preset"))
+    for line in draw_curves(lines, max(out.width, 40), max(out.height - 2, 16)):
+        out.print(line if out.is_terminal else line.plain, highlight=False)
+
+
+def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:
+    """Run what is not finished yet; exits with 130 where it was interrupted, with 1 where some failed."""
+    from sfmrl.campaign import Failed, run_jobs
+    from sfmrl.lookahead import available_cores
+    from sfmrl.progress import show_progress
+    from sfmrl.stopping import Interrupted, StopSignal
+
+    with StopSignal(say) as stop:
+        try:
+            if on == "ray":
+                from sfmrl.cluster import run_on_ray
+
+                run_on_ray(trainings, show_progress(err), stop, say)
+            else:
+                run_jobs(trainings, side_by_side or available_cores(), show_progress(err), stop, say)
+        except (Interrupted, KeyboardInterrupt):
+            say("interrupted; go on with the same command")
+            raise typer.Exit(130) from None
+        except Failed as error:
+            say(f"sfmrl: {error}; the same command tries them again")
+            raise typer.Exit(1) from None
+
+
+def _read(folder: Path, number: int, preset: str, rows: list[str], seeds: list[int]) -> dict[str, Any]:
+    """The finished runs of every row that has some; raises ConfigError where none has."""
+    from sfmrl.results import read_row
+
+    found = {row: read_row(folder, number, preset, row, seeds) for row in rows}
+    found = {row: tested for row, tested in found.items() if tested}
+    if not found:
+        raise ConfigError(
+            f"{folder} holds no finished run of table {number}, {preset} preset; "
+            f"type sfmrl table {number} --preset {preset}, or name another --folder"
+        )
+    return found

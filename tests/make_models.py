@@ -1,0 +1,83 @@
+"""Make the networks that come with sfmrl from a table's run folders: `python tests/make_models.py runs/tables`.
+
+For each row of both tables, quick preset, the seed whose validations in the second half of its training were the best
+on the mean (of several, the lowest) is taken: the test episodes have no say in it. Its weights and card go to
+sfmrl/models/.
+"""
+
+import json
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from sfmrl.evaluation import evaluation_record, metrics
+from sfmrl.models import FOLDER
+from sfmrl.policies import WEIGHTS, load_policy
+from sfmrl.results import Trained, read_row
+from sfmrl.runs import open_run
+from sfmrl.tables import TABLES, make_jobs, run_folder
+from sfmrl.weights import load_weights, save_weights
+
+PRESET, SEEDS = "quick", list(range(10))
+CHECKED = 100  # test episodes whose outcomes a card lists, for the tests
+CHOICE = "best mean validation success in the second half of the training, of seeds"
+
+
+def best_seed(tested: Trained) -> int:
+    late = tested.episodes > tested.episodes[-1] / 2
+    return tested.seeds[int(tested.validation[:, late].mean(axis=1).argmax())]
+
+
+def figures(policy: Any, environment: str, episodes: int) -> tuple[dict[str, Any], list[str]]:
+    """A test's figures with the Wilson interval of success, and the outcomes of its first episodes."""
+    record = evaluation_record(policy, environment=environment, episodes=episodes)
+    whole = metrics(record, policy)
+    kept = ("episodes", "success", "collision", "timeout", "navigation_time", "total_reward", "recovered")
+    found = {name: whole[name] for name in kept if name in whole}
+    return found | {"interval": whole["intervals"]["success"]}, record.outcome[:CHECKED].tolist()
+
+
+def make_model(name: str, number: int, row: str, tested: Trained, folder: Path) -> None:
+    table, seed = TABLES[number], best_seed(tested)
+    run = open_run(run_folder(folder, number, PRESET, row, seed))
+    network, config = load_weights(run.folder / WEIGHTS)
+    config = replace(config, planner=replace(config.planner, recover=True))  # at play; no training sees it
+    digest = save_weights(network, config, FOLDER / f"{name}.pt")
+    (FOLDER / "SHA256SUMS").unlink()  # the card has it
+    policy = load_policy(FOLDER / f"{name}.pt")
+    helped, outcomes = figures(policy, table.environment, table.test_episodes)
+    alone, _ = figures(policy.original, table.environment, table.test_episodes)
+    card = {
+        "name": name,
+        "variant": row,
+        "preset": PRESET,
+        "seed": seed,
+        "chosen": f"{CHOICE} {', '.join(map(str, tested.seeds))}",
+        "commands": [job.command for job in make_jobs(number, PRESET, [seed], [row], Path("runs/tables"))],
+        "trained": run.facts["created"][:10],
+        "versions": run.facts["versions"],
+        "precision": config.precision,
+        "parameters": sum(p.numel() for p in network.parameters()),
+        "sha256": digest,
+        "environment": table.environment,
+        "alone": alone,
+        "with_recovery": helped,
+        "outcomes": "".join(outcome[0] for outcome in outcomes),
+    }
+    (FOLDER / f"{name}.json").write_text(json.dumps(card, indent=2) + "\n")
+    print(f"{name}: seed {seed}, alone {alone['success']:.3f}, with recovery {helped['success']:.3f}", flush=True)
+
+
+if __name__ == "__main__":
+    place = Path(sys.argv[1])
+    shutil.rmtree(FOLDER, ignore_errors=True)
+    FOLDER.mkdir()
+    for number, table in TABLES.items():
+        for row in table.paper:
+            tested = read_row(place, number, PRESET, row, SEEDS)
+            if tested is None:
+                print(f"no finished run of row {row} of table {number}")
+                continue
+            make_model(row + ("-table2" if number == 2 else ""), number, row, tested, place)

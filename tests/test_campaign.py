@@ -1,0 +1,189 @@
+"""Many trainings side by side: each in its turn, none twice, on from where they were stopped; here and on a cluster."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from conftest import environment
+
+from sfmrl.campaign import Failed, run_jobs
+from sfmrl.cluster import pack, unpack
+from sfmrl.policies import WEIGHTS
+from sfmrl.stopping import Interrupted, StopSignal
+from sfmrl.tables import Job, finished
+
+TINY_IL = ("--episodes", "12", "--epochs", "1", "--threads", "1")
+TINY_RL = ("--episodes", "16", "--validation-episodes", "4", "--test-episodes", "4", "--no-recover", "--threads", "1")
+
+
+@pytest.fixture(autouse=True)
+def _surroundings(monkeypatch):
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+
+
+def il_job(folder: Path, seed: int = 0, *more: str) -> Job:
+    words = ("il", "--seed", str(seed), "--run", str(folder), "--continue", *TINY_IL, *more)
+    return Job(folder.name, words, folder, None, 0)
+
+
+def rl_job(folder: Path, source: Path, *more: str) -> Job:
+    words = ("rl", "--from", str(source), "--run", str(folder), "--continue", *TINY_RL, *more)
+    return Job(folder.name, words, folder, source, 16)
+
+
+class Told:
+    """A progress that remembers what it was told."""
+
+    def __init__(self) -> None:
+        self.titles, self.done, self.total = [], 0, 0
+
+    @contextmanager
+    def __call__(self, title, total):
+        self.titles.append(title)
+        self.total = total
+
+        def told(count):
+            self.done += count
+
+        yield told
+
+
+def test_each_job_waits_for_what_it_needs_and_is_run_once(tmp_path):
+    jobs = [rl_job(tmp_path / "b", tmp_path / "a"), il_job(tmp_path / "a")]
+    told, said = Told(), []
+    run_jobs(jobs, 2, told, StopSignal(), said.append)
+    assert all(finished(job.folder) for job in jobs)
+    assert (told.titles, told.total, said) == (["2 trainings"], 16, [])
+    assert "finished" not in (tmp_path / "logs" / "a.txt").read_text()
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()}
+    run_jobs(jobs, 2, told, StopSignal(), said.append)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()} == before
+    # Given by hand, a command that has nothing left to do says so and is no failure.
+    done = subprocess.run([sys.executable, "-m", "sfmrl", *jobs[0].words], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, f"{jobs[0].folder} is finished already\n")
+
+
+def test_a_failure_is_named_and_keeps_nobody_else_from_running(tmp_path):
+    bad = il_job(tmp_path / "bad", 0, "--environment", "nowhere")
+    jobs = [bad, rl_job(tmp_path / "after", bad.folder), il_job(tmp_path / "good", 1)]
+    said = []
+    with pytest.raises(Failed, match="2 trainings failed: bad, after"):
+        run_jobs(jobs, 1, Told(), StopSignal(), said.append)
+    assert finished(tmp_path / "good")
+    assert len(said) == 1
+    assert "bad failed: sfmrl: there is no environment 'nowhere'" in said[0]
+
+
+def test_a_stop_lets_trainings_keep_what_they_need_to_go_on(tmp_path):
+    whole = il_job(tmp_path / "whole", 0, "--epochs", "8")
+    stopped = il_job(tmp_path / "stopped", 0, "--epochs", "8")
+    run_jobs([whole], 1, Told(), StopSignal(), print)
+    stop = StopSignal()
+
+    class StopsIt(Told):
+        @contextmanager
+        def __call__(self, title, total):
+            def told(count):
+                metrics = stopped.folder / "metrics.csv"
+                stop.requested = metrics.exists() and len(metrics.read_text().splitlines()) > 2
+
+            yield told
+
+    with pytest.raises(Interrupted):
+        run_jobs([stopped], 1, StopsIt(), stop, print)
+    if not finished(stopped.folder):  # so it is on any machine that takes a second for eight epochs
+        assert list(stopped.folder.glob("checkpoint-*.pt"))
+    run_jobs([stopped], 1, Told(), StopSignal(), print)
+    assert (stopped.folder / WEIGHTS).read_bytes() == (whole.folder / WEIGHTS).read_bytes()
+
+
+def test_the_table_command_stops_at_a_signal_and_says_how_to_go_on(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "sfmrl", "table", "1", "--seeds", "0", "--rows", "sarl", "--jobs", "1"],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    run = tmp_path / "runs" / "tables" / "quick-il-seed0"
+    while not (run / "run.json").exists():
+        time.sleep(0.1)
+        assert process.poll() is None
+    os.kill(process.pid, signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert said.splitlines()[-1] == "interrupted; go on with the same command"
+    assert not finished(run)
+
+
+def test_folders_travel_whole(tmp_path):
+    source = tmp_path / "source"
+    (source / "inner").mkdir(parents=True)
+    (source / "inner" / "numbers").write_bytes(bytes(range(256)))
+    target = tmp_path / "far" / "target"
+    unpack(pack(source), target)
+    assert (target / "inner" / "numbers").read_bytes() == bytes(range(256))
+    (target / "old").touch()
+    unpack(pack(source), target)
+    assert not (target / "old").exists()
+    assert [path.name for path in target.parent.iterdir()] == ["target"]
+
+
+def test_without_ray_the_remedy_is_named(sfmrl, tmp_path):
+    (tmp_path / "ray.py").write_text("raise ImportError")
+    done = subprocess.run(
+        [sys.executable, "-m", "sfmrl", "table", "1", "--on", "ray"],
+        cwd=tmp_path,
+        env=environment() | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{environment()['PYTHONPATH']}"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr == "sfmrl: --on ray needs Ray; install it with pip install 'sfmrl[ray]'\n"
+
+
+def test_a_cluster_of_two_workers_loses_one_in_the_middle(tmp_path):
+    """Real worker processes on this machine; the one that trains is killed, and its job is done by the other."""
+    pytest.importorskip("ray")
+    import ray
+    from ray.cluster_utils import Cluster
+
+    from sfmrl.cluster import run_on_ray
+
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
+    try:
+        workers = [cluster.add_node(num_cpus=1) for _ in range(2)]
+        cluster.wait_for_nodes()
+        ray.init(address=cluster.address, log_to_driver=False, logging_level="error")
+        jobs = [il_job(tmp_path / "a", 0, "--epochs", "12"), il_job(tmp_path / "b", 1, "--epochs", "12")]
+        jobs.append(rl_job(tmp_path / "c", tmp_path / "a"))
+        said = []
+
+        def kill_one() -> None:
+            while ray.available_resources().get("CPU", 0) > 0:  # until both are training
+                time.sleep(0.1)
+            time.sleep(2.0)
+            cluster.remove_node(workers[1], allow_graceful=False)
+
+        killer = threading.Thread(target=kill_one)
+        killer.start()
+        told = Told()
+        run_on_ray(jobs, told, StopSignal(), said.append)
+        killer.join()
+        assert said == []
+        assert all(finished(job.folder) for job in jobs)
+        assert told.done == 16
+        assert sum(node["Alive"] for node in ray.nodes()) == 2  # the head, and one worker
+    finally:
+        ray.shutdown()
+        cluster.shutdown()
+    again = il_job(tmp_path / "again", 1, "--epochs", "12")
+    run_jobs([again], 1, Told(), StopSignal(), print)
+    assert (again.folder / WEIGHTS).read_bytes() == (tmp_path / "b" / WEIGHTS).read_bytes()

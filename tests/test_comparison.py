@@ -1,0 +1,98 @@
+"""Policies compared on the same episodes: counts by hand, intervals elsewhere, one line for wrong use."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from sfmrl.comparison import compare, comparison_rows, comparison_sheets
+from sfmrl.config import ConfigError
+from sfmrl.evaluation import evaluation_record
+from sfmrl.intervals import paired_difference
+from sfmrl.policies import POLICIES
+
+NAMES = ["orca", "linear", "sfm"]
+
+
+@pytest.fixture(scope="module")
+def records():
+    return [evaluation_record(name, environment="1", episodes=30) for name in NAMES]
+
+
+def compared(records):
+    return compare(records, [POLICIES[name] for name in NAMES], NAMES)
+
+
+def test_what_differs_is_counted_episode_by_episode(records):
+    found = compared(records)
+    success = [record.outcome == "success" for record in records]
+    for row, ours in zip(found["policies"][1:], success[1:], strict=True):
+        gap = row["less_first"]
+        assert gap["only_this"] == sum(ours & ~success[0])
+        assert gap["only_first"] == sum(success[0] & ~ours)
+        assert gap["success"]["mean"] == pytest.approx(ours.mean() - success[0].mean())
+        assert gap["success"]["low"] <= gap["success"]["mean"] <= gap["success"]["high"]
+        assert gap["success"]["p"] <= gap["success"]["p_holm"] <= 1
+    assert "less_first" not in found["policies"][0]
+    differing = {row["episode"]: row["outcomes"] for row in found["differing"]}
+    assert set(differing) == {e for e in range(30) if len({bool(s[e]) for s in success}) == 2}
+    for episode, outcomes in differing.items():
+        assert list(outcomes.values()) == [record.outcome[episode] for record in records]
+    json.dumps(found, allow_nan=False)
+
+
+def test_times_are_compared_where_both_succeed(records):
+    found = compared(records)["policies"][2]["less_first"]["navigation_time"]
+    both = (records[2].outcome == "success") & (records[0].outcome == "success")
+    times = [r.time[both][None] for r in (records[2], records[0])]
+    assert found["mean"] == pytest.approx((times[0] - times[1]).mean())
+    assert found["low"] == paired_difference(*times, np.random.default_rng(0)).low
+
+
+def test_other_episodes_are_refused(records):
+    other = evaluation_record("linear", environment="1", episodes=30, seed=1)
+    with pytest.raises(ConfigError, match="same episodes"):
+        compare([records[0], other], [POLICIES["orca"], POLICIES["linear"]], ["orca", "linear"])
+
+
+def test_policies_that_are_alike_differ_in_nothing(records):
+    found = compare([records[0]] * 2, [POLICIES["orca"]] * 2, ["orca", "again"])
+    assert found["differing"] == []
+    assert found["policies"][1]["less_first"]["success"]["p"] == 1
+    assert len(comparison_sheets(found, "title")) == 2
+
+
+def test_csv_has_a_line_an_episode_of_each(records):
+    rows = comparison_rows(records, NAMES)
+    assert [(row["policy"], row["episode"]) for row in rows] == [(name, e) for name in NAMES for e in range(30)]
+
+
+def test_the_command(sfmrl, tmp_path):
+    words = ("compare", "orca", "linear", "--episodes", 20, "--environment", 1)
+    done = sfmrl(*words, "--csv", "c.csv")
+    assert done.returncode == 0, done.stderr
+    assert "Differences from orca" in done.stdout
+    assert "see one: sfmrl ascii-render orca" in done.stderr
+    with open(tmp_path / "c.csv") as file:
+        lines = list(csv.DictReader(file))
+    assert len(lines) == 40
+    found = json.loads(sfmrl(*words, "--json").stdout)
+    wins = [line["outcome"] == "success" for line in lines]
+    assert found["policies"][0]["success"] == sum(wins[:20]) / 20
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("orca",), "two or more different policies"),
+        (("orca", "orca"), "two or more different policies"),
+        (("orca", "lineal"), "did you mean linear?"),
+        (("orca", "linear", "--environment", "9"), "no environment"),
+    ],
+)
+def test_wrong_use_is_one_line(sfmrl, words, said):
+    done = sfmrl("compare", *words)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert done.stderr.count("\n") == 1

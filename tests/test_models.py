@@ -1,0 +1,90 @@
+"""The networks that come with sfmrl: each does what its card says, at once and without a network connection."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from sfmrl import models
+from sfmrl.evaluation import evaluation_record
+from sfmrl.files import DamagedFile
+from sfmrl.intervals import wilson
+from sfmrl.models import model_card, model_names, model_weights
+from sfmrl.network import resolved
+from sfmrl.policies import load_policy
+from sfmrl.runs import versions
+from sfmrl.tables import TABLES
+from sfmrl.variants import make_config, variant_name
+from sfmrl.weights import load_weights
+
+NAMES = model_names()
+
+
+def test_there_is_a_model_for_each_row_of_both_tables():
+    rows = [*TABLES[1].paper, *(f"{row}-table2" for row in TABLES[2].paper)]
+    assert sorted(rows) == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_model_is_what_its_card_says(name):
+    card = model_card(name)
+    network, config = load_weights(model_weights(name))
+    assert sum(p.numel() for p in network.parameters()) == card["parameters"]
+    assert (config.seed, config.preset, config.precision) == (card["seed"], card["preset"], card["precision"])
+    assert config.forces == make_config(variant=card["variant"]).forces
+    assert config.reward == make_config(variant=card["variant"]).reward
+    if not name.endswith("-table2"):
+        assert variant_name(config) == name
+    assert config.reinforcement.test_environment == card["environment"]
+    for test in (card["alone"], card["with_recovery"]):
+        assert test["success"] + test["collision"] + test["timeout"] == pytest.approx(1)
+        hits = round(test["success"] * test["episodes"])
+        assert test["interval"] == pytest.approx(wilson(hits, test["episodes"]))
+    assert [command.split()[:2] for command in card["commands"]] == [["sfmrl", "il"], ["sfmrl", "rl"]]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_model_does_on_100_episodes_what_its_card_says(name):
+    """To the episode with the card's versions, processor and precision; elsewhere rounding changes a few."""
+    card = model_card(name)
+    record = evaluation_record(load_policy(name), episodes=100)
+    outcomes = "".join(outcome[0] for outcome in record.outcome)
+    here = versions()
+    alike = all(here[key] == card["versions"][key] for key in ("numpy", "torch", "processor"))
+    if alike and resolved("auto") == card["precision"]:
+        assert outcomes == card["outcomes"]
+    else:
+        assert sum(a != b for a, b in zip(outcomes, card["outcomes"], strict=True)) <= 3
+    assert np.mean(record.outcome == "success") >= 0.95
+
+
+def test_a_changed_model_is_refused(tmp_path, monkeypatch):
+    shutil.copytree(models.FOLDER, tmp_path / "models")
+    monkeypatch.setattr(models, "FOLDER", tmp_path / "models")
+    path = model_weights(NAMES[0])
+    path.write_bytes(path.read_bytes() + b"x")
+    with pytest.raises(DamagedFile, match="install sfmrl again"):
+        load_policy(NAMES[0])
+
+
+def test_the_command_lists_models_and_prints_a_card(sfmrl):
+    listed = sfmrl("models")
+    assert listed.returncode == 0, listed.stderr
+    assert all(any(line.startswith(f"{name} ") for line in listed.stdout.splitlines()) for name in NAMES)
+    assert max(map(len, listed.stdout.splitlines())) <= 100
+    one = sfmrl("models", NAMES[0])
+    assert model_card(NAMES[0])["sha256"] in one.stdout
+    assert json.loads(sfmrl("models", NAMES[0], "--json").stdout) == model_card(NAMES[0])
+    assert set(json.loads(sfmrl("models", "--json").stdout)) == set(NAMES)
+    wrong = sfmrl("models", "sarl-sfm7")
+    assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1)
+    assert "did you mean sarl-sfm" in wrong.stderr
+
+
+def test_a_model_plays_by_name(sfmrl):
+    done = sfmrl("eval", NAMES[0], "--episodes", 5)
+    assert done.returncode == 0, done.stderr
+    assert "with recovery" in done.stdout
+    shown = sfmrl("ascii-render", NAMES[0], "--frames", 1)
+    assert shown.returncode == 0, shown.stderr

@@ -1,0 +1,316 @@
+"""The paper's tables from run folders: made-up runs with known figures in, findings with known values out."""
+
+import csv
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sfmrl.config import ConfigError
+from sfmrl.curves import curve_rows, draw_curves
+from sfmrl.files import csv_text
+from sfmrl.findings import contrasts, figures, summarise
+from sfmrl.intervals import mean_interval, wilson
+from sfmrl.reports import csv_rows, rate, sheets
+from sfmrl.results import Trained, read_row
+from sfmrl.scenarios import sample_scenes
+from sfmrl.tables import TABLES, make_jobs, parse_rows, parse_seeds, run_folder
+
+EPISODES = np.array([0, 250, 500, 1000])
+
+
+def trained(success: list[float], episodes: int = 500, seeds: list[int] | None = None, **more: np.ndarray) -> Trained:
+    """Runs of which these shares of the episodes succeed, the last ones failing, half of those by time-out."""
+    hits = np.round(np.array(success) * episodes).astype(int)[:, None]
+    number = np.arange(episodes)
+    late = (number >= hits) & (number % 2 == 0)
+    outcome = np.where(number < hits, "success", np.where(late, "timeout", "collision"))
+    count = len(success)
+    course = {
+        "validation": np.tile([0.5, 0.8, 0.95, 0.9], (count, 1)),
+        "training": np.tile(np.arange(1000) >= 300, (count, 1)),
+    }
+    return Trained(
+        seeds=list(range(count)) if seeds is None else seeds,
+        outcome=outcome,
+        hit=np.where(outcome == "collision", np.where(number % 4 == 1, "human", "square"), ""),
+        time=np.where(outcome == "timeout", 24.0, 10.0 + number % 2),
+        total_reward=np.where(outcome == "success", 0.3, -0.1),
+        best=np.array(success),
+        best_episode=np.full(count, 500),
+        episodes=EPISODES,
+        steps=np.full((count, 1000), 40),
+        **(course | more),
+    )
+
+
+def write_run(folder: Path, success: float, seed: int, first: int = 0) -> None:
+    """A finished run's files, as far as a table reads them."""
+    run, folder = trained([success], 50), Path(folder)
+    folder.mkdir(parents=True)
+    (folder / "weights.pt").touch()
+    (folder / "result.json").write_text(json.dumps({"best_validation": {"success": success, "episode": 500}}))
+    columns = {name: getattr(run, name)[0].tolist() for name in ("outcome", "hit", "time", "total_reward")}
+    rows = [dict(zip(columns, line, strict=True)) for line in zip(*columns.values(), strict=True)]
+    (folder / "test.csv").write_text(csv_text([{"episode": first + e} | row for e, row in enumerate(rows)]))
+    course = [{"episode": e, "success": s} for e, s in zip(EPISODES.tolist(), run.validation[0].tolist(), strict=True)]
+    (folder / "validation.csv").write_text(csv_text(course))
+    played = [{"outcome": "success" if good else "timeout", "steps": 40 + seed} for good in run.training[0]]
+    (folder / "metrics.csv").write_text(csv_text(played))
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    """Table 1 with three rows of four seeds, one run missing."""
+    for row, success in (("sarl", 0.96), ("sarl-sfm2", 0.9), ("sarl-sfm5", 1.0), ("sarl-sfm6", 0.94)):
+        for seed in range(4):
+            if (row, seed) != ("sarl-sfm6", 3):
+                write_run(run_folder(tmp_path, 1, "quick", row, seed), success - 0.02 * (seed % 2), seed)
+    return tmp_path
+
+
+def test_the_papers_rows_and_figures_are_all_there():
+    assert list(TABLES[1].paper) == ["sarl", *(f"sarl-sfm{n}" for n in ("", 2, 3, 4, 5, 6))]
+    assert list(TABLES[2].paper) == ["sarl", "sarl-sfm6"]
+    assert TABLES[1].paper["sarl-sfm4"]["success"] == (0.90,)
+    assert (TABLES[1].test_episodes, TABLES[2].test_episodes) == (500, 1000)
+
+
+def test_jobs_are_one_command_each_and_rows_share_their_imitation():
+    jobs = make_jobs(2, "paper", [3, 7], ["sarl", "sarl-sfm6"], Path("here"))
+    assert [job.name for job in jobs[:3]] == [
+        "paper-il-seed3",
+        "paper-table2-sarl-seed3",
+        "paper-table2-sarl-sfm6-seed3",
+    ]
+    assert [job.needs for job in jobs[:3]] == [None, jobs[0].folder, jobs[0].folder]
+    words = shlex.split(jobs[2].command)
+    assert words[:2] == ["sfmrl", "rl"]
+    for flag, value in (
+        ("--variant", "sarl-sfm6"),
+        ("--seed", "3"),
+        ("--episodes", "15000"),
+        ("--test-episodes", "1000"),
+    ):
+        assert words[words.index(flag) + 1] == value
+    assert len({job.folder for job in jobs}) == len(jobs) == 6
+
+
+@pytest.mark.parametrize(
+    ("text", "seeds"), [("0-9", list(range(10))), ("3", [3]), ("0, 3,5-7", [0, 3, 5, 6, 7]), ("1,1,0-1", [1, 0])]
+)
+def test_seeds_are_read(text, seeds):
+    assert parse_seeds(text) == seeds
+
+
+@pytest.mark.parametrize("text", ["", "a", "1-", "3-1", "-1", "1;2", "0-9,"])
+def test_what_is_no_seed_is_named(text):
+    with pytest.raises(ConfigError, match="write 0-9 or 0,3,5-7"):
+        parse_seeds(text)
+
+
+def test_a_row_that_is_not_in_the_table_is_named():
+    assert parse_rows(1, "sarl, sarl-sfm6") == ["sarl", "sarl-sfm6"]
+    with pytest.raises(ConfigError, match=r"table 2 has no row 'sarl-sfm5'.*did you mean sarl-sfm6"):
+        parse_rows(2, "sarl-sfm5")
+
+
+def test_rates_add_up_and_times_are_the_papers_and_ours():
+    by_seed = figures(trained([0.96, 1.0]))
+    parts = ("success", "human_collision", "square_collision", "timeout")
+    np.testing.assert_allclose(sum(by_seed[name] for name in parts), 1)
+    np.testing.assert_allclose(by_seed["success"], [0.96, 1])
+    np.testing.assert_allclose(by_seed["timeout"], [0.02, 0])
+    np.testing.assert_allclose(by_seed["navigation_time"], [10.5, 10.5])
+    np.testing.assert_allclose(by_seed["navigation_time_charged"], [(480 * 10.5 + 10 * 25) / 490, 10.5])
+
+
+def test_without_any_success_there_is_no_navigation_time():
+    by_seed = figures(trained([0.0, 0.5]))
+    assert np.isnan(by_seed["navigation_time"][0])
+    row = summarise(TABLES[1], {"sarl": trained([0.0, 0.5])})[0]
+    assert row["figures"]["navigation_time"]["values"] == [None, 10.5]
+    json.dumps(row, allow_nan=False)
+
+
+def test_the_course_of_a_training_in_figures():
+    runs = trained(
+        [0.9, 0.9, 0.9], validation=np.array([[0.5, 0.8, 0.95, 0.9], [0.9, 0.7, 1, 1], [0.1, 0.2, 0.3, 0.8]])
+    )
+    by_seed = figures(runs)
+    np.testing.assert_array_equal(by_seed["reached_episodes"], [500, 0, np.nan])
+    np.testing.assert_array_equal(by_seed["reached_steps"], [500 * 40, 0, np.nan])
+    np.testing.assert_allclose(by_seed["early_success"], [0.8, 0.7, 0.2])  # at 250 of 1000 episodes
+    np.testing.assert_allclose(by_seed["drops"], [0.05 / 3, 0.2 / 3, 0])
+    np.testing.assert_allclose(by_seed["early_training_success"], 0)  # the first success is number 300
+
+
+def test_folders_alone_make_a_row(folder):
+    row = read_row(folder, 1, "quick", "sarl-sfm6", [0, 1, 2, 3, 4])
+    assert row.seeds == [0, 1, 2]
+    np.testing.assert_allclose(row.success.mean(axis=1), [0.94, 0.92, 0.94])
+    np.testing.assert_array_equal(row.steps[:, 0], [40, 41, 42])
+    assert set(row.hit.ravel()) == {"", "human", "square"}
+    assert read_row(folder, 1, "quick", "sarl-sfm3", [0, 1]) is None
+    assert read_row(folder, 2, "quick", "sarl", [0, 1]) is None
+
+
+def test_runs_that_were_tested_on_other_episodes_are_refused(folder):
+    write_run(run_folder(folder, 1, "quick", "sarl", 4), 0.9, 4, first=50)
+    with pytest.raises(ConfigError, match="sarl-seed4 was tested on other episodes"):
+        read_row(folder, 1, "quick", "sarl", [0, 4])
+
+
+def test_a_run_that_cannot_be_read_is_named(folder):
+    (run_folder(folder, 1, "quick", "sarl", 2) / "test.csv").unlink()
+    with pytest.raises(ConfigError, match="a run of row sarl under"):
+        read_row(folder, 1, "quick", "sarl", [0, 1, 2])
+
+
+def test_means_intervals_and_differences():
+    rows = {"sarl": trained([0.96, 0.97, 0.98]), "sarl-sfm2": trained([0.85, 0.86, 0.87, 0.88])}
+    sarl, sfm2 = summarise(TABLES[1], rows)
+    success = sfm2["figures"]["success"]
+    assert success["values"] == pytest.approx([0.85, 0.86, 0.87, 0.88])
+    assert success["mean"] == pytest.approx(0.865)
+    assert (success["low"], success["high"]) == mean_interval(success["values"], np.random.default_rng(0))
+    assert success["deviation"] == pytest.approx(np.std(success["values"], ddof=1))
+    assert sfm2["wilson"][0] == list(wilson(425, 500))
+    assert sarl["difference"] is None
+    assert sfm2["difference"]["seeds"] == [0, 1, 2]
+    assert sfm2["difference"]["mean"] == pytest.approx(-0.11)
+    assert sfm2["difference"]["high"] < 0
+    assert sfm2["difference"]["paper"] == pytest.approx(0.86 - 0.965)
+
+
+@pytest.mark.parametrize(
+    ("rates", "verdict"),
+    [
+        ([0.85, 0.86, 0.87, 0.86], "consistent"),  # the paper has 0.86
+        ([0.99, 0.992, 0.995, 0.99], "inconsistent"),
+        ([0.60, 0.95, 0.80, 0.99], "inconclusive"),  # anything might be
+        ([0.86, 0.86], "inconclusive"),  # too few
+    ],
+)
+def test_verdicts(rates, verdict):
+    (row,) = summarise(TABLES[1], {"sarl-sfm2": trained(rates)})
+    assert row["verdict"] == verdict
+
+
+def test_what_the_two_ingredients_change():
+    rows = {"sarl": trained([0.9, 0.8]), "sarl-sfm2": trained([0.8, 0.8]), "sarl-sfm5": trained([1.0, 1.0])}
+    assert contrasts(rows) == []
+    found = {(c["of"], c["in"]): c for c in contrasts(rows | {"sarl-sfm6": trained([0.9, 0.9])})}
+    forces = found["forces in the state", "success"]
+    assert forces["values"] == pytest.approx([0.1, 0.15])  # of 0.1 and 0.1, of 0.2 and 0.1
+    assert forces["mean"] == pytest.approx(0.125)
+    assert found["SFM reward", "success"]["values"] == pytest.approx([-0.1, -0.05])
+
+
+def test_sheets_hold_in_80_columns_and_become_markdown():
+    rows = {name: trained([0.9 + 0.01 * (s % 7) for s in range(10)]) for name in TABLES[1].paper}
+    pages = sheets(summarise(TABLES[1], rows), contrasts(rows), "Table 1")
+    assert len(pages) == 5
+    for page in pages:
+        widths = [
+            max(len(part) for cell in column for part in cell.split("\n")) for column in zip(*page.rows, strict=True)
+        ]
+        assert sum(widths) + len(widths) <= 80
+        assert all(len(row) == len(page.headings) for row in page.rows)
+        lines = page.markdown().splitlines()
+        assert len({line.count("|") for line in lines[2:]}) == 1
+        assert "\n" not in lines[2]
+
+
+def test_rates_are_written_without_their_zero():
+    assert [rate(x) for x in (0.9, 1.0, -0.05, 0.0, -0.0001, None)] == [".900", "1.000", "-.050", ".000", "-.000", "-"]
+
+
+def test_csv_has_a_line_a_figure(folder):
+    rows = {
+        name: read_row(folder, 1, "quick", name, [0, 1, 2, 3])
+        for name in ("sarl", "sarl-sfm2", "sarl-sfm5", "sarl-sfm6")
+    }
+    lines = list(csv.DictReader(csv_text(csv_rows(summarise(TABLES[1], rows), contrasts(rows))).splitlines()))
+    (mean,) = (r for r in lines if (r["row"], r["metric"], r["seed"]) == ("sarl", "success", "all"))
+    assert float(mean["value"]) == pytest.approx(0.95)
+    assert mean["paper"] == "0.96/0.97"
+    assert sum(r["metric"] == "success" and r["row"] == "sarl-sfm6" for r in lines) == 4
+    assert sum(r["metric"] == "success_less_sarl" for r in lines) == 3
+
+
+def test_curves_have_a_line_a_validation_and_fit_where_they_are_drawn(folder):
+    rows = {name: read_row(folder, 1, "quick", name, [0, 1, 2, 3]) for name in ("sarl", "sarl-sfm2", "sarl-sfm6")}
+    lines = curve_rows(rows)
+    assert [(line["row"], line["episode"]) for line in lines[:5]] == [("sarl", e) for e in EPISODES] + [
+        ("sarl-sfm2", 0)
+    ]
+    assert lines[1]["mean"] == pytest.approx(0.8)
+    for width, height in ((80, 24), (40, 30), (200, 50)):
+        drawn = draw_curves(lines, width, height)
+        assert len(drawn) <= height
+        assert max(line.cell_len for line in drawn) <= width
+        assert sum("sarl-sfm6" in line.plain for line in drawn) == 1
+
+
+def test_a_constant_curve_is_a_flat_line_at_its_height():
+    runs = {"sarl": trained([1.0, 1.0], validation=np.ones((2, 4)))}
+    top, *below = draw_curves(curve_rows(runs), 60, 10)[1:-1]
+    assert sum(0x2800 < ord(glyph) <= 0x28FF for glyph in top.plain) > 50
+    assert not any(0x2800 <= ord(glyph) <= 0x28FF for line in below for glyph in line.plain)
+
+
+def test_training_validation_and_test_episodes_are_all_different():
+    starts = [
+        sample_scenes("table1", 300, seed, phase=phase).start
+        for phase, seed in (("train", 0), ("train", 1), ("validation", 0), ("test", 0), ("imitation", 0))
+    ]
+    flat = np.concatenate(starts).reshape(5 * 300, -1)
+    assert len(np.unique(np.nan_to_num(flat, nan=99.0), axis=0)) == 5 * 300
+
+
+def test_the_command_makes_a_table_and_a_figure_from_folders(sfmrl, folder, tmp_path):
+    common = ("1", "--folder", folder, "--rows", "sarl,sarl-sfm6", "--seeds", "0-3")
+    done = sfmrl("table", *common, "--no-train", "--csv", "t.csv", "--markdown", "t.md")
+    assert done.returncode == 0, done.stderr
+    assert "1 of 8 trainings are not finished" in done.stderr
+    assert "sarl-sfm6" in done.stdout
+    assert (tmp_path / "t.md").read_text().count("| sarl-sfm6 |") == 4
+    assert (tmp_path / "t.csv").read_text().startswith("row,metric,seed,value,low,high,paper,p_holm")
+    again = sfmrl("table", *common, "--no-train", "--csv", "t.csv")
+    assert (again.returncode, again.stderr.count("\n")) == (2, 1)
+    found = json.loads(sfmrl("table", *common, "--no-train", "--json").stdout)
+    assert [row["row"] for row in found["rows"]] == ["sarl", "sarl-sfm6"]
+    drawn = sfmrl("figure", *common, "--svg", "f.svg", "--csv", "f.csv")
+    assert drawn.returncode == 0, drawn.stderr
+    assert "1000 episodes" in drawn.stdout
+    assert "\x1b" not in drawn.stdout
+    assert (tmp_path / "f.svg").read_text().startswith("<svg")
+
+
+def test_jobs_are_printed_as_commands(sfmrl):
+    done = sfmrl("table", "2", "--print-jobs", "--seeds", "0-1")
+    lines = done.stdout.splitlines()
+    assert len(lines) == 6
+    assert all(line.startswith(("sfmrl il ", "sfmrl rl ")) for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("table", "3"), "less than or equal to 2"),
+        (("table", "1", "--rows", "sarl-sfm9"), "no row 'sarl-sfm9'"),
+        (("table", "1", "--preset", "fast"), "no preset 'fast'"),
+        (("table", "1", "--on", "moon"), "choose here or ray"),
+        (("table", "1", "--no-train"), "holds no finished run"),
+        (("figure", "1", "--seeds", "x"), "neither a seed nor a range"),
+        (("table", "1", "--csv", "no/such.csv"), "there is no folder no"),
+    ],
+)
+def test_wrong_use_is_one_line(sfmrl, words, said):
+    done = sfmrl(*words)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert done.stderr.count("\n") == 1
