@@ -39,12 +39,18 @@ def say_result(text: str) -> None:
 
 
 def replay_command(
-    policy: str | None, place: tuple[str, Any] | None, seed: int, episode: int, settings: dict[str, Any]
+    policy: str | None,
+    place: tuple[str, Any] | None,
+    seed: int,
+    episode: int,
+    settings: dict[str, Any],
+    versus: str | None = None,
 ) -> str:
     """What to type to see a test episode; `place` is --environment or --map and its value, None if the policy's."""
     words = [
         "sfmrl ascii-render",
         shlex.quote(policy) if policy else "",
+        f"--versus {shlex.quote(versus)}" if versus else "",
         f"{place[0]} {shlex.quote(str(place[1]))}" if place else "",
         f"--seed {seed} --episode {episode}",
     ]

@@ -128,9 +128,11 @@ def compare_command(
     for sheet in comparison_sheets(found, f"{where}, {episodes} episodes, seed {seed}"):
         print_sheet(sheet)
     if found["differing"]:
-        number = found["differing"][0]["episode"]
+        number, outcomes = found["differing"][0]["episode"], found["differing"][0]["outcomes"]
+        success = {name: outcome == "success" for name, outcome in outcomes.items()}
+        versus = next(name for name in policies[1:] if success[name] != success[policies[0]])
         place = ("--map", map_file) if map_file else ("--environment", environment)
-        say("see one: " + replay_command(policies[0], place, seed, number, settings))
+        say("see one: " + replay_command(policies[0], place, seed, number, settings, versus))
 
 
 @app.command(epilog="Example: sfmrl models sarl-sfm6")

@@ -46,7 +46,7 @@ LEVELS = (
     ),
     ("sweeps", "evaluation", "memory", "learning", "learner", "exploration", "runs", "imitation", "reinforcement"),
     ("tables", "results", "findings", "reports", "comparison", "campaign", "cluster"),
-    ("canvas", "story", "timeline", "panel", "screen", "replay", "curves"),
+    ("canvas", "story", "timeline", "panel", "plane", "layout", "screen", "replay", "exports", "curves"),
     (
         "options",
         "console",
