@@ -7,7 +7,7 @@ import sys
 
 import typer
 
-from sfmrl import evaluation_commands, replay_commands, table_commands, training_commands
+from sfmrl import evaluation_commands, replay_commands, table_commands, teaching_commands, training_commands
 from sfmrl.config import ConfigError
 from sfmrl.console import say
 from sfmrl.files import DamagedFile
@@ -18,7 +18,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Teach a robot to cross a crowd: imitate ORCA, then reinforce, with and without social forces.",
 )
-for commands in (training_commands, evaluation_commands, replay_commands, table_commands):
+for commands in (training_commands, evaluation_commands, replay_commands, table_commands, teaching_commands):
     app.add_typer(commands.app)
 
 

@@ -6,12 +6,11 @@ import numpy as np
 
 from sfmrl.config import CROWD_FORCE, ConfigError, suggest
 from sfmrl.crowd import World, orca_crowd
+from sfmrl.folders import WEIGHTS
 from sfmrl.lookahead import Policy, SarlPolicy, available_cores
 from sfmrl.models import model_names, model_weights
 from sfmrl.recovery import with_recovery
 from sfmrl.sfm import sfm_velocities
-
-WEIGHTS = "weights.pt"  # a run's trained network, in its folder
 
 
 def linear_policy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:

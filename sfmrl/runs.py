@@ -31,15 +31,13 @@ import torch
 from sfmrl import __version__
 from sfmrl.config import Config, ConfigError
 from sfmrl.files import DamagedFile, csv_text, read_checked, remove_checked, write_atomically
+from sfmrl.folders import RUNS, WEIGHTS, kind_of, run_folders
 from sfmrl.network import ValueNetwork, resolved
-from sfmrl.policies import WEIGHTS
 from sfmrl.rewards import reward_digest, reward_terms
 from sfmrl.scenarios import parse_mix
 from sfmrl.variants import variant_name
 from sfmrl.weights import save_weights
 
-RUNS = Path("runs")
-KINDS = ("il", "rl")
 KEEP = 2  # checkpoints kept: the newest, and one to fall back on
 
 
@@ -193,24 +191,6 @@ def open_run(folder: Path, kind: str | None = None) -> Run:
     if kind and facts["kind"] != kind:
         raise ConfigError(f"{folder} is a run of sfmrl {facts['kind']}, not of sfmrl {kind}")
     return Run(folder, facts["kind"], config, facts)
-
-
-def run_folders(kind: str | None = None) -> list[Path]:
-    """Folders under runs/ that hold a run (of a kind), the newest first."""
-    found = []
-    for path in RUNS.glob("*/run.json"):
-        if kind_of(path.parent) in (KINDS if kind is None else (kind,)):
-            found.append((json.loads(path.read_text()).get("created", ""), path.parent))
-    return [folder for _, folder in sorted(found, reverse=True)]
-
-
-def kind_of(folder: Path) -> str | None:
-    """Which kind of run a folder holds; None where it holds none that can be told."""
-    try:
-        facts = json.loads((folder / "run.json").read_text())
-    except (OSError, ValueError):
-        return None
-    return facts.get("kind") if isinstance(facts, dict) and facts.get("kind") in KINDS else None
 
 
 def newest_run() -> Path:
