@@ -47,7 +47,11 @@ def examine(console: Console) -> Iterator[Check]:
 def self_test() -> Iterator[Check]:
     """The self-test, one part after another."""
     try:
+        import torch
+
         from sfmrl.self_test import TESTS, Failure
+
+        torch.set_num_threads(1)  # each part asks for as many as it means to test
     except Exception as error:  # a broken installation can raise anything
         yield Check("self-test", False, f"cannot begin: {type(error).__name__}: {error}", "see the lines above")
         return
@@ -102,9 +106,10 @@ def _terminal(console: Console) -> Iterator[Check]:
         large = console.width >= READABLE[0] and console.height >= READABLE[1]
         remedy = "" if large else f"for the whole picture make it {READABLE[0]} x {READABLE[1]}"
         yield Check("terminal", large or None, f"{console.width} x {console.height}", remedy)
-        yield Check("colours", True if console.color_system else None, console.color_system or "none", "unset NO_COLOR")
+        unset = "unset NO_COLOR" if "NO_COLOR" in os.environ else ""
+        yield Check("colours", True if console.color_system else None, console.color_system or "none", unset)
     else:
-        yield Check("terminal", None, "standard output is none: replays are stills, and without colours")
+        yield Check("terminal", None, "standard output is not one: replays are stills, without colours")
     encoding = (console.encoding or "none").lower()
     utf8 = encoding.startswith("utf")
     yield Check("characters", utf8 or None, encoding, "pictures are drawn with --ascii; or set PYTHONIOENCODING=utf-8")

@@ -8,9 +8,9 @@ import numpy as np
 from sfmrl import run_tables
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.evaluation import episode_rows, evaluation_record
+from sfmrl.folders import WEIGHTS
 from sfmrl.imitation import DEMONSTRATIONS, load_demonstrations
 from sfmrl.lookahead import Policy, SarlPolicy
-from sfmrl.folders import WEIGHTS
 from sfmrl.policies import orca_policy
 from sfmrl.progress import Progress
 from sfmrl.recovery import with_recovery
