@@ -67,7 +67,7 @@ def load_policy(name_or_path: str | Path, threads: int | None = None, device: st
         )
     if path.is_dir():
         if not (path / "run.json").exists() and not (path / WEIGHTS).exists():
-            raise ConfigError(f"{path} is not a run folder: it has neither run.json nor {WEIGHTS}")
+            raise ConfigError(f"{path} is not a run folder: it has neither run.json nor {WEIGHTS}; name one that has")
         if not (path / WEIGHTS).exists():
             raise ConfigError(
                 f"{path} holds no {WEIGHTS}: that training has not ended; go on with it by --resume {path}"

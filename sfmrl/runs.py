@@ -85,7 +85,7 @@ class Run:
             data = read_checked(saved[-1])
         except DamagedFile as error:
             before = f"to go on from {saved[-2].name}" if len(saved) > 1 else "to start this run anew"
-            raise DamagedFile(f"{error}; delete it {before}") from None
+            raise DamagedFile(f"{error}, or delete it {before}") from None
         return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
 
     def write_table(self, name: str, rows: list[dict[str, Any]]) -> None:
@@ -185,11 +185,12 @@ def open_run(folder: Path, kind: str | None = None) -> Run:
     """Open a run folder; raises ConfigError where it is none (or of another kind), DamagedFile where it is damaged."""
     if not (folder / "run.json").is_file() or not (folder / "config.json").is_file():
         what = "is not a run folder: it has no run.json and config.json" if folder.exists() else "does not exist"
-        raise ConfigError(f"{folder} {what}; known runs: {', '.join(map(str, run_folders())) or 'none yet'}")
+        known = ", ".join(map(str, run_folders())) or "none yet, sfmrl il makes one"
+        raise ConfigError(f"{folder} {what}; known runs: {known}")
     facts = json.loads(read_checked(folder / "run.json"))
     config = Config.from_json(read_checked(folder / "config.json").decode())
     if kind and facts["kind"] != kind:
-        raise ConfigError(f"{folder} is a run of sfmrl {facts['kind']}, not of sfmrl {kind}")
+        raise ConfigError(f"{folder} is a run of sfmrl {facts['kind']}, not of sfmrl {kind}; name one of those")
     return Run(folder, facts["kind"], config, facts)
 
 

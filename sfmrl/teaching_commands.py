@@ -1,4 +1,4 @@
-"""The commands that look closer: `sfmrl explain`, `sfmrl verify`."""
+"""The commands that look closer: `sfmrl explain`, `sfmrl verify`, `sfmrl doctor`."""
 
 import json
 from dataclasses import asdict
@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from sfmrl.console import err, new_file, say_finding, say_result
+from sfmrl import completion
+from sfmrl.console import err, new_file, out, say, say_finding, say_result
 from sfmrl.files import csv_text
 from sfmrl.options import Device, Environment, Overwrite, PolicyName, Threads, option, settings_options
 from sfmrl.session import choose, use_threads
@@ -64,7 +65,7 @@ def explain(
 
 @app.command(epilog="Example: sfmrl verify runs/rl-sarl-sfm2-seed0 --episodes 500")
 def verify(
-    run: Annotated[Path, typer.Argument(help="the run folder", show_default=False)],
+    run: Annotated[Path, typer.Argument(help="the run folder", show_default=False, autocompletion=completion.runs)],
     episodes: Annotated[
         int, option("test episodes, or demonstrations, to play again at most (default 100)", min=1)
     ] = 100,
@@ -94,3 +95,25 @@ def verify(
         say_result(f"{run}: {len(wrong)} of {checked} DO NOT AGREE: {', '.join(wrong)}{aside}")
         raise typer.Exit(1)
     say_result(f"{run}: all {checked} agree{aside}")
+
+
+@app.command(epilog="Example: sfmrl doctor --no-test")
+def doctor(
+    test: Annotated[bool, option("test what sfmrl computes, some ten seconds (default on)", "--test/--no-test")] = True,
+) -> None:
+    """Look whether sfmrl works here: versions, processor, terminal, runs, and a self-test. Nothing is written.
+
+    Exit code 0 if all is well, else 1.
+    """
+    from sfmrl.doctor import examine, self_test
+
+    ill = []
+    for checks in (examine(out), *([self_test()] if test else [])):
+        for check in checks:
+            remedy = f"; {check.remedy}" if check.remedy and not check.good else ""
+            say_finding(check.what, check.good, check.said + remedy)
+            ill += [check.what] if check.good is False else []
+    if ill:
+        say(f"not ok: {', '.join(ill)}; what helps stands beside it")
+        raise typer.Exit(1)
+    say("all is well")

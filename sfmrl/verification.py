@@ -14,9 +14,9 @@ from typing import Any
 from sfmrl import run_tables
 from sfmrl.config import ConfigError
 from sfmrl.files import SUMS, DamagedFile, read_sums
+from sfmrl.folders import WEIGHTS
 from sfmrl.imitation import DEMONSTRATIONS
 from sfmrl.network import resolved
-from sfmrl.folders import WEIGHTS
 from sfmrl.progress import Progress
 from sfmrl.reinforcement import BEST
 from sfmrl.rewards import reward_digest

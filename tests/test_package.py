@@ -15,7 +15,18 @@ import sfmrl
 
 # The house from the ground up: a file imports only from those before it.
 LEVELS = (
-    ("config", "variants", "folders", "geometry", "vectors", "files", "progress", "stopping", "intervals"),
+    (
+        "config",
+        "variants",
+        "folders",
+        "completion",
+        "geometry",
+        "vectors",
+        "files",
+        "progress",
+        "stopping",
+        "intervals",
+    ),
     (
         "linear_programs",
         "polygons",
@@ -47,11 +58,11 @@ LEVELS = (
     ("canvas", "story", "timeline", "panel", "screen", "replay", "curves"),
     ("explanation", "run_tables", "run_replay", "verification", "self_test", "doctor"),
     (
+        "completion",
         "options",
         "console",
         "explanation_tables",
         "greeting",
-        "completion",
         "session",
         "training_commands",
         "evaluation_commands",
