@@ -13,7 +13,7 @@ def run_folders(kind: str | None = None) -> list[Path]:
     found = []
     for path in RUNS.glob("*/run.json"):
         if kind_of(path.parent) in (KINDS if kind is None else (kind,)):
-            found.append((json.loads(path.read_text()).get("created", ""), path.parent))
+            found.append((str(json.loads(path.read_text()).get("created")), path.parent))
     return [folder for _, folder in sorted(found, reverse=True)]
 
 

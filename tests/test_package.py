@@ -15,18 +15,7 @@ import sfmrl
 
 # The house from the ground up: a file imports only from those before it.
 LEVELS = (
-    (
-        "config",
-        "variants",
-        "folders",
-        "completion",
-        "geometry",
-        "vectors",
-        "files",
-        "progress",
-        "stopping",
-        "intervals",
-    ),
+    ("config", "variants", "folders", "geometry", "vectors", "files", "progress", "stopping", "intervals"),
     (
         "linear_programs",
         "polygons",
