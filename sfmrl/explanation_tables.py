@@ -35,7 +35,7 @@ def print_explanation(explanation: Explanation, shown: list[dict[str, Any]], tit
     _print(_steps_table(explanation, shown))
     marks = [mark(row["event"]) for row in shown]
     meant = [f"{sign} {words}" for sign, words in LEGEND.items() if sign in marks]
-    say_result(f"{len(shown)} of {len(steps)} steps; {'; '.join(meant)}")
+    say_result("; ".join([f"{len(shown)} of {len(steps)} steps", *meant]))
     say_result("gap: smallest in the step, m; push: resultant repulsion, m/s^2")
     if "value" in steps[0]:
         say_result("value: of the action taken; next: of the best of the other 80")

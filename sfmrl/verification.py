@@ -126,6 +126,9 @@ def _weights(run: Run) -> str:
 
 def _own_reward(run: Run) -> str:
     name = run.config.reward.reward
+    place = name.rpartition(":")[0]
+    if place.endswith(".py") and not Path(place).is_file():
+        raise Disagreement(f"without {place} it cannot be played; ask for that file, and put it there")
     if run.facts["own_reward"] != reward_digest(run.config.reward):
         raise Disagreement(f"{name} is not the file that the run was trained with; put that one there")
     return f"{name} is what the run was trained with"
