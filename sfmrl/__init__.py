@@ -17,6 +17,7 @@ _HOME = {
     "network": ("ValueNetwork",),
     "weights": ("load_weights",),
     "scenarios": ("Scenes", "sample_scenes"),
+    "drawings": ("read_map", "load_map", "draw_map"),
     "rewards": (
         "RUNNING",
         "SUCCESS",

@@ -13,15 +13,17 @@ from rich.text import Text
 
 ROBOT, PERSON, SQUARE, GOAL = "bold cyan", "bold", "grey50", "bold green"
 WATCHED, BAD, LATE, FAINT = "bold magenta", "bold red", "bold yellow", "dim"
+PUSH = "bold color(208)"
 
-ARROWS = "→↗↑↖←↙↓↘"  # counter-clockwise from the x axis, 45 degrees apart
+ARROWS = "→↗↑↖←↙↓↘"  # of velocities: counter-clockwise from the x axis, 45 degrees apart
+PUSHES = "⇒⇗⇑⇖⇐⇙⇓⇘"  # of forces, likewise
 NEXT_CELL = np.array([(0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0), (1, 1)])  # (row, column), likewise
 QUARTERS = " ▘▝▀▖▌▞▛▗▚▐▜▄▙▟█"  # by the sum of 1 (upper left), 2 (upper right), 4 (lower left), 8 (lower right)
 BRAILLE = 0x2800  # the empty braille cell; a dot's bit by its row and column:
 DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 
 _ASCII = str.maketrans(
-    dict(zip(ARROWS, ">/^\\</v\\", strict=True))
+    dict(zip(ARROWS + PUSHES, ">/^\\</v\\" * 2, strict=True))
     | {glyph: "#" if bin(k).count("1") > 1 else " " for k, glyph in enumerate(QUARTERS)}
     | {chr(BRAILLE + k): "." for k in range(1, 256)}
     | dict(zip("▉▊▋▍▎▏░▒▓", "###   .:+", strict=True))
@@ -106,13 +108,13 @@ class Canvas:
 
 
 def octant(vector: np.ndarray) -> int:
-    """Which of the eight `ARROWS` is nearest to a vector (2,)."""
+    """Which of the eight arrows is nearest to a vector (2,)."""
     return int(np.round(np.arctan2(vector[1], vector[0]) / (np.pi / 4))) % 8
 
 
-def arrow(vector: np.ndarray) -> str:
+def arrow(vector: np.ndarray, glyphs: str = ARROWS) -> str:
     """The arrow along a vector (2,), a dot where it is nearly zero or NaN."""
-    return ARROWS[octant(vector)] if np.hypot(*vector) > 1e-3 else "·"
+    return glyphs[octant(vector)] if np.hypot(*vector) > 1e-3 else "·"
 
 
 def styled(pieces) -> Text:

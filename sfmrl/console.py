@@ -54,12 +54,21 @@ def say_finding(what: str, good: bool | None, said: str) -> None:
     out.print(table)
 
 
-def replay_command(policy: str | None, environment: str, seed: int, episode: int, settings: dict[str, Any]) -> str:
-    """What to type to see a test episode."""
+def replay_command(
+    policy: str | None,
+    place: tuple[str, Any] | None,
+    seed: int,
+    episode: int,
+    settings: dict[str, Any],
+    versus: str | None = None,
+) -> str:
+    """What to type to see a test episode; `place` is --environment or --map and its value, None if the policy's."""
     words = [
         "sfmrl ascii-render",
         shlex.quote(policy) if policy else "",
-        f"--environment {environment} --seed {seed} --episode {episode}",
+        f"--versus {shlex.quote(versus)}" if versus else "",
+        f"{place[0]} {shlex.quote(str(place[1]))}" if place else "",
+        f"--seed {seed} --episode {episode}",
     ]
     for section in settings.values():
         words += [

@@ -9,8 +9,8 @@ import typer
 from sfmrl.config import ConfigError, suggest
 from sfmrl.console import err, new_file, print_metrics, print_sheet, print_sweep, replay_command, say, say_result
 from sfmrl.files import csv_text
-from sfmrl.options import Device, Environment, Overwrite, PolicyName, Threads, option, settings_options
-from sfmrl.session import choose
+from sfmrl.options import Device, Environment, MapFile, Overwrite, PolicyName, Threads, option, settings_options
+from sfmrl.session import choose, drawn
 
 app = typer.Typer()
 
@@ -20,6 +20,7 @@ app = typer.Typer()
 def evaluate_command(
     policy: PolicyName = None,
     environment: Environment = None,
+    map_file: MapFile = None,
     episodes: Annotated[int, option("test episodes (default 500)", min=1)] = 500,
     seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
     sweep: Annotated[
@@ -40,15 +41,18 @@ def evaluate_command(
     """Test a policy: success, collisions, time-outs, navigation time, total reward."""
     from sfmrl.evaluation import episode_rows, evaluation_record, metrics, sweep_rows
     from sfmrl.progress import show_progress
+    from sfmrl.scenarios import label
     from sfmrl.sweeps import parse_sweep
 
     sweeps = [parse_sweep(text) for text in sweep or []]
     new_file(csv, "csv", overwrite)
+    asked = drawn(map_file, environment)
     chosen, name, config = choose(policy, settings, threads, device)
-    environment = config.reinforcement.test_environment if environment is None else environment
+    environment = config.reinforcement.test_environment if asked is None else asked
     how = {"environment": environment, "episodes": episodes, "seed": seed}
     how |= {"reward": config.reward, "simulation": config.simulation, "progress": show_progress(err)}
-    title = f"{name}, environment {environment}, {episodes} episodes, seed {seed}"
+    where = f"map {map_file}" if map_file else f"environment {label(environment)}"
+    title = f"{name}, {where}, {episodes} episodes, seed {seed}"
     if sweeps:
         rows = sweep_rows(chosen, sweeps, **how)
         if csv:
@@ -69,7 +73,10 @@ def evaluate_command(
     if result["failures"]:
         failed = [failure["episode"] for failure in result["failures"]]
         listed = ", ".join(map(str, failed[:12])) + (", ..." if len(failed) > 12 else "")
-        see = replay_command(policy, environment, seed, failed[0], settings)
+        place = ("--map", map_file) if map_file else ("--environment", environment)
+        if asked is None and environment != label(environment):
+            place = None  # a run has its map with it
+        see = replay_command(policy, place, seed, failed[0], settings)
         say(f"{len(failed)} episodes ({listed}) failed; see one: {see}")
         no_way = [str(failure["episode"]) for failure in result["failures"] if not failure["solvable"]]
         if no_way:
@@ -81,6 +88,7 @@ def evaluate_command(
 def compare_command(
     policies: Annotated[list[str], typer.Argument(help="two or more, as for eval; all are compared with the first")],
     environment: Environment = None,
+    map_file: MapFile = None,
     episodes: Annotated[int, option("test episodes (default 500)", min=1)] = 500,
     seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
     as_json: Annotated[bool, option("print JSON", "--json")] = False,
@@ -98,10 +106,12 @@ def compare_command(
     from sfmrl.comparison import compare, comparison_rows, comparison_sheets
     from sfmrl.evaluation import evaluation_record
     from sfmrl.progress import show_progress
+    from sfmrl.scenarios import label
 
     if len(policies) < 2 or len(set(policies)) < len(policies):
         raise ConfigError(f"compare takes two or more different policies; it got {', '.join(policies)}")
     new_file(csv, "csv", overwrite)
+    environment = drawn(map_file, environment)
     chosen = [choose(policy, settings, threads, device) for policy in policies]
     first = chosen[0][2]
     environment = first.reinforcement.test_environment if environment is None else environment
@@ -114,11 +124,15 @@ def compare_command(
     if as_json:
         say_result(json.dumps({"environment": environment, "seed": seed} | found, indent=2))
         return
-    for sheet in comparison_sheets(found, f"environment {environment}, {episodes} episodes, seed {seed}"):
+    where = f"map {map_file}" if map_file else f"environment {label(environment)}"
+    for sheet in comparison_sheets(found, f"{where}, {episodes} episodes, seed {seed}"):
         print_sheet(sheet)
     if found["differing"]:
-        number = found["differing"][0]["episode"]
-        say("see one: " + replay_command(policies[0], environment, seed, number, settings))
+        number, outcomes = found["differing"][0]["episode"], found["differing"][0]["outcomes"]
+        success = {name: outcome == "success" for name, outcome in outcomes.items()}
+        versus = next(name for name in policies[1:] if success[name] != success[policies[0]])
+        place = ("--map", map_file) if map_file else ("--environment", environment)
+        say("see one: " + replay_command(policies[0], place, seed, number, settings, versus))
 
 
 @app.command(epilog="Example: sfmrl models sarl-sfm6")

@@ -1,13 +1,14 @@
 """Twenty scenes that no environment samples, drawn in text: traps, corridors, rooms, and squares at random.
 
-A character is a place of 0.6 m x 0.6 m about the middle of the world: `#` a square, a digit a person bound for the
-opposite point (as in CRI), `R` and `G` the robot's start and goal where they are not (0, -4) and (0, 4). All can be
-solved but `closed`, which is left out of the twenty.
+In the format of maps of one's own (`maps.py`), but the robot's start and goal are (0, -4) and (0, 4) where they are not
+drawn, and always exactly there. All can be solved but `closed`, which is left out of the twenty.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
-CELL = 0.6  # m, the side of a square
+from sfmrl.maps import Drawing, parse
 
 _DRAWINGS = """
 u
@@ -202,24 +203,27 @@ closed
 """
 
 
-def _read() -> dict[str, dict[str, np.ndarray]]:
-    """By name and character, the places (n, 2) in m where a drawing has it."""
+def _read() -> dict[str, Drawing]:
+    """The drawings by name."""
     layouts = {}
     for block in _DRAWINGS.strip().split("\n\n"):
-        name, *lines = block.split("\n")
-        cells = np.array([list(line.strip()) for line in lines])
-        rows, columns = cells.shape
-        row, column = np.nonzero(cells != ".")
-        places = CELL * np.stack((column - (columns - 1) / 2, (rows - 1) / 2 - row), axis=-1)
-        characters = cells[row, column]
-        layouts[name] = {str(c): places[characters == c] for c in np.unique(characters)}
+        name, _, text = block.partition("\n")
+        drawing = parse(text, name, whole=False)
+        robot = np.arange(len(drawing.start)) == 0
+        layouts[name] = replace(drawing, leeway=np.where(robot, 0.0, drawing.leeway))
     return layouts
 
 
 LAYOUTS = _read()
 MAPS = tuple(name for name in LAYOUTS if name != "closed")
+DRAWN = "map:"  # begins the name of an environment that is a drawing, its lines joined by "/"
 
 
-def elements_of_map(name: str) -> int:
-    """How many people and squares a layout has."""
-    return sum(len(places) for character, places in LAYOUTS[name].items() if character not in "RG")
+def drawing_of(environment: str) -> Drawing | None:
+    """The drawing that an environment's name stands for ("map-u", "map:R.#.G/..#.."); None where it is no such name.
+
+    Raises ConfigError where the name is a drawing that cannot be read.
+    """
+    if environment.startswith(DRAWN):
+        return parse(environment.removeprefix(DRAWN).replace("/", "\n"))
+    return LAYOUTS.get(environment.removeprefix("map-")) if environment.startswith("map-") else None

@@ -67,6 +67,11 @@ Environment = Annotated[
     ),
 ]
 
+MapFile = Annotated[
+    Path | None,
+    option("a text file that draws the scene: # squares, R robot, G its goal, 1-9 people, a-i their goals", "--map"),
+]
+
 
 def settings_options(*sections: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Give a command an option for every knob of some sections of the config ("" is its top level).

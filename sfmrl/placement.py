@@ -9,14 +9,14 @@ from collections.abc import Callable
 import numpy as np
 
 from sfmrl.config import ConfigError
-from sfmrl.layouts import LAYOUTS
+from sfmrl.layouts import drawing_of
+from sfmrl.maps import Drawing
 
 RADIUS, V_PREF, SIDE = 0.3, 1.0, 0.6  # m, m/s, m: every disc, every preferred speed, every square
 CIRCLE, NOISE = 4.0, 0.5  # m: people start on this circle, moved by up to so much in x and in y
 GAP = 0.2  # m: between a person's disc and every start and goal
 SQUARE_GAP = 0.9  # m: from a square's centre to every other centre, start and goal
 SQUARE_REACH = 3.2  # m: environment 1's squares lie in this disc
-JITTER = 0.1  # m: a drawn person starts within so much of its place in x and in y
 ATTEMPTS = 4  # proposals drawn at a time for one place
 
 # Squares' centres relative to the group's own, m: the barrier is open towards the robot, which comes from below.
@@ -46,8 +46,8 @@ class Builder:
         if environment.startswith("circle"):
             for row in range(1, people_on_circle(environment) + 1):
                 self._person(which, row)
-        elif environment.startswith("map-"):
-            self._layout(which, LAYOUTS[environment.removeprefix("map-")])
+        elif drawing := drawing_of(environment):
+            self._draw(which, drawing)
         elif environment == "1":
             people = np.array([(self.rngs[e].random(10) < 0.6).sum() for e in which], dtype=int)
             for row in range(1, 11):
@@ -82,16 +82,16 @@ class Builder:
             other._person(np.arange(len(self.rngs)), person)
         return other
 
-    def _layout(self, which: np.ndarray, layout: dict[str, np.ndarray]) -> None:
-        """A drawn scene; its people start up to `JITTER` from their places."""
-        for character, end in (("R", self.start), ("G", self.goal)):
-            if character in layout:
-                end[which, 0] = layout[character][0]
-        places = [layout[character][0] for character in sorted(layout) if character.isdigit()]
-        for row, place in enumerate(places, start=1):
-            moved = np.array([self.rngs[e].uniform(-JITTER, JITTER, 2) for e in which]).reshape(-1, 2)
-            self.start[which, row], self.goal[which, row] = place + moved, -(place + moved)
-        self._put(which, 1 + len(places), np.broadcast_to(layout["#"], (len(which), *layout["#"].shape)))
+    def _draw(self, which: np.ndarray, drawing: Drawing) -> None:
+        """A drawn scene; those with leeway start up to so much from their places, and end as much the other way."""
+        count = len(drawing.start)
+        for row in (*range(1, count), 0):
+            if leeway := drawing.leeway[row]:
+                moved = np.array([self.rngs[e].uniform(-leeway, leeway, 2) for e in which]).reshape(-1, 2)
+            else:
+                moved = 0.0
+            self.start[which, row], self.goal[which, row] = drawing.start[row] + moved, drawing.goal[row] - moved
+        self._put(which, count, np.broadcast_to(drawing.squares, (len(which), *drawing.squares.shape)))
 
     def _person(self, which: np.ndarray, row: int) -> None:
         """A person near the circle, bound for the opposite point, clear of all that is there."""

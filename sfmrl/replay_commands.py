@@ -1,54 +1,166 @@
 """The command that shows episodes: `sfmrl ascii-render`."""
 
+import dataclasses
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from sfmrl.console import out
-from sfmrl.options import Device, Environment, PolicyName, Threads, option, settings_options
-from sfmrl.session import choose
+from sfmrl.config import Config, ConfigError
+from sfmrl.console import new_file, out, say, say_result
+from sfmrl.options import Device, Environment, MapFile, Overwrite, PolicyName, Threads, option, settings_options
+from sfmrl.session import choose, drawn
 
 app = typer.Typer()
+LEAST = (20, 8)  # columns and lines that a frame has at least
+FILES = (80, 24)  # ... and those of frames in files, whatever the terminal
 
 
 @app.command("ascii-render", epilog="Example: sfmrl ascii-render orca --environment 3 --episode 17")
 @settings_options("simulation", "reward", "planner")
 def ascii_render(
     policy: PolicyName = None,
+    versus: Annotated[str | None, option("a second policy in the same episode, beside it and by its reward")] = None,
     environment: Environment = None,
+    map_file: MapFile = None,
     episode: Annotated[int, option("number of the test episode (default 0)", min=0)] = 0,
     seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
-    speed: Annotated[float, option("times real time (default 2)", min=0.01)] = 2.0,
-    frames: Annotated[int | None, option("print so many stills instead of playing (a pipe gets 6)", min=1)] = None,
+    speed: Annotated[float, option("times real time (default 2)", min=0.01, max=64)] = 2.0,
+    frames: Annotated[int | None, option("so many stills instead of playing (default a pipe 6, SVG 1)", min=1)] = None,
+    at: Annotated[float | None, option("the still at this time, in s, instead of playing", min=0)] = None,
+    size: Annotated[str | None, option("COLUMNSxLINES (default the terminal's; in files 80x24)")] = None,
     ascii_only: Annotated[bool, option("7-bit characters only", "--ascii")] = False,
     scenes: Annotated[bool, option("draw a sample of each environment, and play nothing", "--scenes")] = False,
+    draw: Annotated[bool, option("print the scene as a map for --map, to edit, and play nothing", "--draw")] = False,
+    svg: Annotated[Path | None, option("write the last frame, or stills one below the other, as a picture")] = None,
+    cast: Annotated[Path | None, option("write a recording that asciinema and its like play")] = None,
+    txt: Annotated[Path | None, option("write all frames, or stills, as plain text")] = None,
+    overwrite: Overwrite = False,
     threads: Threads = None,
     device: Device = "cpu",
     *,
     settings: dict[str, Any],
 ) -> None:
-    """Replay a test episode in the terminal."""
-    from sfmrl import replay
-    from sfmrl.episodes import play_episodes
+    """Replay a test episode in the terminal, or write it to files."""
+    files = {flag: path for flag, path in (("--svg", svg), ("--cast", cast), ("--txt", txt)) if path}
+    for flag, path in files.items():
+        new_file(path, flag.removeprefix("--"), overwrite)
+    if len({path.resolve() for path in files.values()}) < len(files):
+        raise ConfigError(f"{' and '.join(files)} name the same file; each needs its own")
+    if scenes and draw:
+        raise ConfigError("--scenes and --draw exclude each other; leave out one of them")
+    if (scenes or draw) and (files or versus):
+        which = "--scenes" if scenes else "--draw"
+        raise ConfigError(f"{which} plays nothing; leave out {next(iter(files), '--versus')}")
+    if frames and at is not None:
+        raise ConfigError("--frames and --at both choose stills; leave out one of them")
+    if (frames or at is not None) and list(files) == ["--cast"]:
+        raise ConfigError("--frames and --at choose stills, but a recording has every step; leave them out")
+    room = _parsed(size) if size else FILES if files else (max(out.width, LEAST[0]), max(out.height - 1, LEAST[1]))
+    ascii_only = ascii_only or (not files and not (out.encoding or "").lower().startswith("utf"))
+    environment = drawn(map_file, environment)
+    if draw:
+        from sfmrl.drawings import draw_map
+        from sfmrl.scenarios import sample_scenes
+
+        name = Config().reinforcement.test_environment if environment is None else environment
+        say_result(draw_map(sample_scenes(name, [episode], seed)).rstrip("\n"))
+        return
+    if scenes:
+        _print_scenes(environment, episode, seed, room, ascii_only)
+        return
+    from sfmrl.replay import BESIDE, STACKED
+
+    if versus and not (room[0] >= BESIDE or room[1] >= STACKED):
+        raise ConfigError(f"--versus needs {BESIDE} columns or {STACKED} lines; here are {room[0]} and {room[1]}")
+    replay = _play([policy, versus] if versus else [policy], (environment, episode, seed), settings, threads, device)
+    replay = dataclasses.replace(replay, ascii_only=ascii_only)
+    if files:
+        _write(files, replay, room, {"count": frames, "at": at}, speed)
+    elif frames or at is not None or not out.is_terminal or out.is_dumb_terminal:
+        for picture in replay.frames(*room, frames or 6, at):
+            out.print(picture.text if out.is_terminal else picture.plain, markup=False, highlight=False, soft_wrap=True)
+    else:
+        from sfmrl.screen import play_live
+
+        def draw(t: int, columns: int, lines: int) -> Any:
+            return replay.frame(t, *(room if size else (columns, lines))).text
+
+        play_live(draw, replay.last, out, speed, replay.time_step)
+
+
+def _parsed(size: str) -> tuple[int, int]:
+    """Columns and lines from "120x40"; raises ConfigError."""
+    match = re.fullmatch(r"(\d{1,3})x(\d{1,3})", size)
+    columns, lines = map(int, match.groups()) if match else (0, 0)
+    if columns < LEAST[0] or lines < LEAST[1]:
+        raise ConfigError(f"--size is {size}; it takes COLUMNSxLINES, as in 120x40, from {LEAST[0]}x{LEAST[1]} on")
+    return columns, lines
+
+
+def _print_scenes(environment: str | None, episode: int, seed: int, room: tuple[int, int], ascii_only: bool) -> None:
+    """A picture of a sample of an environment, or of each."""
+    from sfmrl.replay import scene_picture
     from sfmrl.scenarios import ENVIRONMENTS, sample_scenes
 
-    plain = ascii_only or not (out.encoding or "").lower().startswith("utf")
-    size = {"width": max(out.width, 20), "height": max(out.height - 1, 8), "ascii_only": plain}
-    if scenes:
-        for name in "12345" if environment is None else [environment]:
-            out.print(replay.scene_picture(sample_scenes(name, [episode], seed), **size))
-            out.print(ENVIRONMENTS.get(name, ""), end="\n\n")
-        return
-    chosen, name, config = choose(policy, settings, threads, device)
-    environment = config.reinforcement.test_environment if environment is None else environment
-    scene = sample_scenes(environment, [episode], seed)
-    record = play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount)
-    pictures = replay.make_frames(
-        record, 0, policy=chosen, label=Path(name).name, reward=config.reward, discount=config.discount, **size
-    )
-    if frames or not out.is_terminal or out.is_dumb_terminal:
-        for picture in replay.strip(pictures, frames or 6):
-            out.print(picture.text if out.is_terminal else picture.plain, highlight=False)
-    else:
-        replay.play_live(pictures, out, speed=speed)
+    for name in "12345" if environment is None else [environment]:
+        scenes = sample_scenes(name, [episode], seed)
+        out.print(scene_picture(scenes, width=room[0], height=room[1], ascii_only=ascii_only), soft_wrap=True)
+        out.print(ENVIRONMENTS.get(name, ""), end="\n\n")
+
+
+def _play(
+    names: list[str | None],
+    where: tuple[str | None, int, int],
+    settings: dict[str, Any],
+    threads: int | None,
+    device: str,
+) -> Any:
+    """A test episode as every policy plays it, in the world of the first one and judged by its reward.
+
+    `where` is the environment (None: the first policy's), the episode's number and the seed.
+    """
+    from sfmrl.drawings import hindrance
+    from sfmrl.episodes import play_episodes
+    from sfmrl.replay import Replay
+    from sfmrl.scenarios import sample_scenes
+    from sfmrl.story import tell
+
+    environment, episode, seed = where
+    policies = [choose(name, settings, threads, device) for name in names]
+    config = policies[0][2]
+    scene = sample_scenes(environment or config.reinforcement.test_environment, [episode], seed)
+    if reason := hindrance(scene, config.simulation.time_limit):
+        say(reason)
+    how = (config.reward, config.simulation)
+    stories = []
+    for policy, _, _ in policies:
+        record = play_episodes(scene, policy, *how, discount=config.discount)
+        stories.append(tell(record, 0, policy, config.reward, config.discount))
+    labels = [Path(name).name for _, name, _ in policies]
+    if len(set(labels)) < len(labels):  # runs of one name in two folders
+        labels = [name for _, name, _ in policies]
+    return Replay(tuple(stories), tuple(labels))
+
+
+def _write(files: dict[str, Path], replay: Any, room: tuple[int, int], stills: dict[str, Any], speed: float) -> None:
+    """Write the replay to the files of some flags, and say so; `stills` is what `Replay.frames` takes."""
+    from sfmrl.exports import to_cast, to_svg, to_txt
+    from sfmrl.files import write_atomically
+
+    chosen = any(value is not None for value in stills.values())
+    for flag, path in files.items():
+        if flag == "--svg":
+            shown = replay.frames(*room, **(stills if chosen else {"count": 1}))
+            text = to_svg(shown, replay.title, colour=not out.no_color)
+        elif flag == "--cast":
+            shown = replay.frames(*room)
+            text = to_cast(shown, replay.title, speed, colour=not out.no_color)
+        else:
+            shown = replay.frames(*room, **stills)
+            text = to_txt(shown)
+        data = text.encode()
+        write_atomically(path, lambda file, data=data: file.write(data), checked=False)
+        many = f"{len(shown)} {'frame' if len(shown) == 1 else 'frames'} of {room[0]}x{room[1]}"
+        say(f"wrote {path}: {many}, {len(data) / 1000:.0f} kB")

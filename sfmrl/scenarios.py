@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from sfmrl.config import ConfigError, suggest
-from sfmrl.layouts import LAYOUTS, MAPS, elements_of_map
+from sfmrl.layouts import DRAWN, LAYOUTS, MAPS, drawing_of
 from sfmrl.placement import CIRCLE, RADIUS, V_PREF, Builder, people_on_circle
 from sfmrl.variants import MIXES
 
@@ -26,7 +26,7 @@ ENVIRONMENTS = {
     "maps": "twenty layouts that no training samples, in turn; map-u, map-room ... are single ones",
     "circle": "ten people on a circle, no squares (CrowdNav); circle5 has five",
 }
-MAP_NAMES = {f"map-{name}": name for name in LAYOUTS}
+MAP_NAMES = [f"map-{name}" for name in LAYOUTS]
 PHASES = ("train", "validation", "test", "imitation")
 STREAMS = (*PHASES, "fit", "batches", "exploration")  # everything that draws random numbers
 
@@ -102,7 +102,13 @@ class Scenes:
 
 
 def parse_mix(text: str) -> dict[str, float]:
-    """Environments and their shares from "2", "table1" or "1:0.7,2:0.3"; raises ConfigError."""
+    """Environments and their shares from "2", "table1" or "1:0.7,2:0.3"; raises ConfigError.
+
+    A drawing, "map:R.#.G/..#..", is an environment that shares with no other.
+    """
+    if text.startswith(DRAWN):
+        drawing_of(text)
+        return {text: 1.0}
     shares: dict[str, float] = {}
     for part in MIXES.get(text, text).split(","):
         name, colon, share = part.strip().partition(":")
@@ -128,8 +134,9 @@ def _elements(name: str) -> int:
     if name.startswith("circle"):
         return people_on_circle(name)
     if name == "maps":
-        return max(map(elements_of_map, MAPS))
-    return elements_of_map(MAP_NAMES[name]) if name in MAP_NAMES else 10
+        return max(LAYOUTS[layout].elements for layout in MAPS)
+    drawing = drawing_of(name)
+    return drawing.elements if drawing else 10
 
 
 def generator(seed: int, stream: str, *number: int) -> np.random.Generator:
@@ -148,10 +155,11 @@ def sample_scenes(
 ) -> Scenes:
     """Sample episodes of an environment, or of a mix of them, each from its own seed.
 
-    `environment` is one of `ENVIRONMENTS`, a mix such as "1:0.7,2:0.3", or "table1", "table2"; `episodes` is how many,
-    or the numbers of those wanted; `circle` is the radius (m) of the circle that people start on. With `people`, so
-    many on the circle take the place of the environment's own. The result has a row for the robot and one for each
-    element, people before squares. Raises ConfigError on names it does not know.
+    `environment` is one of `ENVIRONMENTS`, a mix such as "1:0.7,2:0.3", or "table1", "table2", or a drawing
+    "map:R.#.G/..#.." (see `maps.py`), labelled "map"; `episodes` is how many, or the numbers of those wanted; `circle`
+    is the radius (m) of the circle that people start on. With `people`, so many on the circle take the place of the
+    environment's own. The result has a row for the robot and one for each element, people before squares. Raises
+    ConfigError on names it does not know.
     """
     shares = parse_mix(environment)
     numbers = np.asarray(episodes)
@@ -175,4 +183,10 @@ def sample_scenes(
         builder.build(str(name), np.flatnonzero(picked == name))
     if people is not None:
         builder = builder.among(people)
-    return Scenes(builder.start, builder.goal, square=builder.square, environment=picked, episode=numbers)
+    labels = [label(name) for name in picked]
+    return Scenes(builder.start, builder.goal, square=builder.square, environment=labels, episode=numbers)
+
+
+def label(environment: str) -> str:
+    """What an environment is called in reports: its name, or "map" where that is a drawing."""
+    return "map" if environment.startswith(DRAWN) else environment

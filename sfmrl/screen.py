@@ -1,14 +1,15 @@
 """Play pictures in a terminal in real time, with keys to pause, step and change the speed.
 
-What a key does is a pure function of the player; the rest is Rich's live display and, where standard input is a
-terminal on a system that has termios, one key at a time from it. The terminal is put back however the playing ends.
+What a key does is a pure function of the player; the rest is Rich's live display on the terminal's second screen and,
+where standard input is a terminal on a system that has termios, one key at a time from it. A terminal that changes its
+size is drawn on anew. It is put back however the playing ends.
 """
 
 import os
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -19,6 +20,7 @@ from rich.text import Text
 from sfmrl.canvas import FAINT, fitted, to_ascii
 
 SPEEDS = (0.01, 64.0)  # times real time, the slowest and the fastest
+GLANCE = 0.2  # s, the longest time without a look at the terminal's size
 STEPS = {",": -1, "\x1b[D": -1, ".": 1, "\x1b[C": 1}  # comma and full stop, or the arrow keys
 LEGEND = " space pause   , . step   + - speed   q quit"
 
@@ -58,49 +60,58 @@ class Player:
         return self
 
 
-def play_live(frames: Sequence, console: Console, speed: float = 1.0, time_step: float = 0.25) -> None:
-    """Play frames, each with a `text`, at `speed` times real time, a frame for every `time_step` seconds.
+def play_live(
+    draw: Callable[[int, int, int], Text], last: int, console: Console, speed: float = 1.0, time_step: float = 0.25
+) -> None:
+    """Play the moments 0 to `last` at `speed` times real time, one for every `time_step` seconds.
 
-    The keys are told in a line below where the console has one to spare. With keys, the end waits for a last one;
-    without, the playing ends there. Either way the frame shown last stays. A console that is no terminal gets the
-    last frame alone.
+    `draw` makes a moment's picture of at most so many columns and lines. The keys are told in a line below. With keys,
+    the end waits for a last one; without, the playing ends there. Either way the moment shown last stays. A console
+    that is no terminal gets the last one alone.
     """
     if not console.is_terminal:
-        console.print(frames[-1].text)
+        console.print(draw(last, console.width, console.height - 1))
         return
-    player: Player | None = Player(len(frames) - 1, playing=len(frames) > 1, speed=speed)
-    shown = Text()
-    with _keyboard() as read, Live(console=console, auto_refresh=False, vertical_overflow="crop") as live:
-        try:
+    player: Player | None = Player(last, playing=last > 0, speed=speed)
+    shown = 0
+
+    def picture() -> Text:
+        return draw(shown, console.width, max(console.height - 1, 1))
+
+    try:
+        with _keyboard() as read, Live(console=console, auto_refresh=False, screen=True) as live:
             due = time.monotonic()
             while player is not None and (player.playing or read):
-                shown = frames[player.moment].text
-                live.update(_with_legend(shown, player, console) if read else shown, refresh=True)
+                shown, size = player.moment, console.size
+                live.update(_with_legend(picture(), player, console) if read else picture(), refresh=True)
                 now, step = time.monotonic(), time_step / player.speed
                 due = min(max(due + step, now), now + step)  # drawing takes time too: no wait longer than needed
-                player = _after_wait(player, due - now, read)
-            shown = shown if player is None else frames[player.moment].text
-        finally:
-            live.update(shown, refresh=True)
+                player = _after_wait(player, due, read, lambda size=size: console.size == size)
+            shown = shown if player is None else player.moment
+    finally:
+        console.print(picture())
 
 
-def _after_wait(player: Player, seconds: float, read: Callable | None) -> Player | None:
-    """The player one moment on after so many seconds, or after the keys that were pressed before."""
-    if read is None:
-        time.sleep(seconds)
-        return player.step(1)
-    keys = read(seconds if player.playing else None)
-    if not keys:
-        return player.step(1)
-    for key in keys:
-        player = None if player is None else player.press(key)
+def _after_wait(player: Player, due: float, read: Callable | None, unchanged: Callable[[], bool]) -> Player | None:
+    """The player one moment on at the time `due`, or after the keys that were pressed before.
+
+    As it is as soon as the terminal is not `unchanged`: then the same moment is due to be drawn again.
+    """
+    while unchanged():
+        left = due - time.monotonic() if player.playing else GLANCE
+        if left <= 0:
+            return player.step(1)
+        if read is None:
+            time.sleep(min(left, GLANCE))
+        elif keys := read(min(left, GLANCE)):
+            for key in keys:
+                player = None if player is None else player.press(key)
+            return player
     return player
 
 
-def _with_legend(picture: Text, player: Player, console: Console) -> Group | Text:
-    """The picture and, where the console has a line left, what the keys do."""
-    if picture.plain.count("\n") + 1 >= console.height:
-        return picture
+def _with_legend(picture: Text, player: Player, console: Console) -> Group:
+    """The picture, and what the keys do."""
     legend = fitted(Text(LEGEND, FAINT), console.width, Text(player.status, FAINT))
     return Group(picture, to_ascii(legend) if picture.plain.isascii() else legend)
 

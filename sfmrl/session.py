@@ -100,6 +100,15 @@ def choose(policy: str | None, settings: dict[str, Any], threads: int | None, de
     return with_recovery(chosen, config.planner), name, config
 
 
+def drawn(map_file: Path | None, environment: str | None) -> str | None:
+    """The environment that was asked for by --map or by --environment; None where neither was given."""
+    from sfmrl.drawings import load_map
+
+    if map_file and environment is not None:
+        raise ConfigError("--map and --environment exclude each other; leave out one of them")
+    return load_map(map_file) if map_file else environment
+
+
 def newest() -> str:
     """The newest finished run, named on standard error."""
     from sfmrl.runs import newest_run

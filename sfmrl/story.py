@@ -69,7 +69,8 @@ def number(row: int) -> str:
 
 def scene_name(environment: str, episode: int) -> str:
     """Environment and episode in words."""
-    return f"{'own scene' if environment == 'own' else f'environment {environment}'} · episode {episode}"
+    named = {"own": "own scene", "map": "map"}.get(environment, f"environment {environment}")
+    return f"{named} · episode {episode}"
 
 
 def tell(record: Record, row: int, policy=None, reward: Reward | None = None, discount: float | None = None) -> Story:

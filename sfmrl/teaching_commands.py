@@ -10,8 +10,8 @@ import typer
 from sfmrl import completion
 from sfmrl.console import err, new_file, out, say, say_finding, say_result
 from sfmrl.files import csv_text
-from sfmrl.options import Device, Environment, Overwrite, PolicyName, Threads, option, settings_options
-from sfmrl.session import choose, use_threads
+from sfmrl.options import Device, Environment, MapFile, Overwrite, PolicyName, Threads, option, settings_options
+from sfmrl.session import choose, drawn, use_threads
 
 app = typer.Typer()
 
@@ -21,6 +21,7 @@ app = typer.Typer()
 def explain(
     policy: PolicyName = None,
     environment: Environment = None,
+    map_file: MapFile = None,
     episode: Annotated[int, option("number of the test episode (default 0)", min=0)] = 0,
     seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
     every: Annotated[
@@ -42,6 +43,7 @@ def explain(
     from sfmrl.scenarios import sample_scenes
 
     new_file(csv, "csv", overwrite)
+    environment = drawn(map_file, environment)
     chosen, name, config = choose(policy, settings, threads, device)
     environment = config.reinforcement.test_environment if environment is None else environment
     scene = sample_scenes(environment, [episode], seed)

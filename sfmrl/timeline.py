@@ -3,7 +3,7 @@
 from rich.text import Text
 
 from sfmrl.canvas import BAD, FAINT, GOAL, LATE, ROBOT, fitted
-from sfmrl.story import Story
+from sfmrl.story import Story, number
 
 ENDS = {"success": ("★", GOAL), "collision": ("X", BAD), "timeout": ("T", LATE)}  # an outcome's mark and its style
 
@@ -23,30 +23,51 @@ def timeline(story: Story, t: int, columns: int) -> Text:
     return fitted(Text.assemble((left, FAINT), *cells, (right, FAINT)), columns)
 
 
-def sentence(story: Story, t: int) -> Text:
-    """How it has ended or, before, that the robot is stuck, or when it was last too close and to whom."""
+def sentence(story: Story, t: int, columns: int = 80) -> Text:
+    """How it has ended or, before, that the robot is stuck, or when it was last too close and to whom.
+
+    In few `columns` the same in fewer words.
+    """
     close = [(first, min(last, t)) for first, last in story.close if first <= t]
     if t == story.last:
-        return _ending(story, sum(last - first + 1 for first, last in close), int(story.stuck.sum()))
+        return _ending(story, sum(last - first + 1 for first, last in close), int(story.stuck.sum()), columns)
     if story.stuck[t]:
-        return Text.assemble((" ~", LATE), " stuck: led around the squares until the straight way is free")
+        words = ("stuck: led around the squares until the straight way is free", "stuck: led around the squares")
+        return _longest(columns, *(Text.assemble((" ~", LATE), f" {text}") for text in words))
     if not close:
         return Text(" too close to nobody so far" if t else " at the start", FAINT)
     first, last = close[-1]
     gaps = story.separations[first - 1 : last].min(0)  # of the steps that led to these moments
     when = f"{story.time[first]:.2f}" if first == last else f"{story.time[first]:.2f} to {story.time[last]:.2f}"
-    whom = story.called(int(gaps.argmin()) + 1)
-    return Text.assemble((" !", BAD), f" too close {when} s ({whom}, {gaps.min():.2f} m)")
+    row = int(gaps.argmin()) + 1
+    words = (
+        f"too close {when} s ({story.called(row)}, {gaps.min():.2f} m)",
+        f"{gaps.min():.2f} m to {number(row)}, {when} s",
+    )
+    return _longest(columns, *(Text.assemble((" !", BAD), f" {text}") for text in words))
 
 
-def _ending(story: Story, close: int, stuck: int) -> Text:
+def _ending(story: Story, close: int, stuck: int, columns: int) -> Text:
     """The outcome in words, and for how many steps the robot was too close or stuck."""
     mark, style = ENDS[story.outcome]
-    words = {
-        "success": f"goal reached after {story.time[-1]:.2f} s",
-        "collision": f"collision at {story.time[-1]:.2f} s: hit {' and '.join(map(story.called, story.hit))}",
-        "timeout": f"time is up at {story.time[-1]:.2f} s, {story.goal_distance:.2f} m from the goal",
+    end = f"{story.time[-1]:.2f} s"
+    words, fewer = {
+        "success": (f"goal reached after {end}",) * 2,
+        "collision": (
+            f"collision at {end}: hit {' and '.join(map(story.called, story.hit))}",
+            f"collision at {end}: hit {' and '.join(map(number, story.hit))}",
+        ),
+        "timeout": (
+            f"time is up at {end}, {story.goal_distance:.2f} m from the goal",
+            f"time is up, {story.goal_distance:.2f} m to go",
+        ),
     }[story.outcome]
     before = f"; too close for {close * story.time[1]:.2f} s" if close else "; never too close"
     led = f"; stuck for {stuck * story.time[1]:.2f} s" if stuck else ""
-    return Text.assemble((f" {mark} ", style), (words, "bold"), before, led)
+    told = ((words, before + led), (words, before), (words, ""), (fewer, ""))
+    return _longest(columns, *(Text.assemble((f" {mark} ", style), (head, "bold"), rest) for head, rest in told))
+
+
+def _longest(columns: int, *texts: Text) -> Text:
+    """The first of some texts, from the longest to the shortest, that fits; else the last."""
+    return next((text for text in texts if text.cell_len <= columns), texts[-1])

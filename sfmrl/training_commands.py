@@ -8,8 +8,19 @@ import typer
 from sfmrl import completion
 from sfmrl.config import Config, ConfigError
 from sfmrl.console import print_metrics, say
-from sfmrl.options import Continue, Device, Overwrite, Resume, RunFolder, Threads, Variant, option, settings_options
-from sfmrl.session import existing, finished, new_config, reopen, train, usable, use_threads
+from sfmrl.options import (
+    Continue,
+    Device,
+    MapFile,
+    Overwrite,
+    Resume,
+    RunFolder,
+    Threads,
+    Variant,
+    option,
+    settings_options,
+)
+from sfmrl.session import drawn, existing, finished, new_config, reopen, train, usable, use_threads
 
 app = typer.Typer()
 
@@ -62,6 +73,7 @@ def rl(
         ),
     ] = None,
     from_scratch: Annotated[bool, option("start without imitation", "--from-scratch")] = False,
+    map_file: MapFile = None,
     run: RunFolder = None,
     resume: Resume = None,
     overwrite: Overwrite = False,
@@ -72,7 +84,9 @@ def rl(
     settings: dict[str, Any],
 ) -> None:
     """Reinforcement: deep V-learning on from what imitation gave, then a test."""
+    from sfmrl.drawings import hindrance
     from sfmrl.reinforcement import reinforce, start_run
+    from sfmrl.scenarios import label, sample_scenes
 
     workers = use_threads(threads)
     device = usable(device)
@@ -80,15 +94,28 @@ def rl(
         current = reopen(
             "rl",
             resume,
-            [variant, source, from_scratch or None, run, overwrite or None, go_on or None, *settings.values()],
+            [
+                variant,
+                source,
+                from_scratch or None,
+                map_file,
+                run,
+                overwrite or None,
+                go_on or None,
+                *settings.values(),
+            ],
         )
     else:
         if source and from_scratch:
             raise ConfigError("--from and --from-scratch exclude each other; leave out one of them")
-        schedule = settings.get("reinforcement", {})
-        if "environment" in schedule:
-            schedule.setdefault("test_environment", schedule["environment"])
-        current = start_run(new_config(variant, settings), source, from_scratch, run, **existing(run, overwrite, go_on))
+        schedule = settings.setdefault("reinforcement", {})
+        if environment := drawn(map_file, schedule.get("environment")):
+            schedule["environment"] = environment
+            schedule.setdefault("test_environment", environment)
+        config = new_config(variant, settings)
+        if map_file and (reason := hindrance(sample_scenes(environment, [0]), config.simulation.time_limit)):
+            say(f"{map_file}: {reason}")
+        current = start_run(config, source, from_scratch, run, **existing(run, overwrite, go_on))
     if go_on and finished(current):
         return
     if current.imitation:
@@ -96,7 +123,7 @@ def rl(
     result = train(
         current, lambda progress, stop: reinforce(current, progress, stop, say, threads=workers, device=device)
     )
-    title = f"{current.folder}, environment {current.config.reinforcement.test_environment}"
+    title = f"{current.folder}, environment {label(current.config.reinforcement.test_environment)}"
     print_metrics(result, f"test of {title}, the network alone")
     if "with_recovery" in result:
         print_metrics(result["with_recovery"], f"test of {title}")

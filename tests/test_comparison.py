@@ -73,7 +73,7 @@ def test_the_command(sfmrl, tmp_path):
     done = sfmrl(*words, "--csv", "c.csv")
     assert done.returncode == 0, done.stderr
     assert "Differences from orca" in done.stdout
-    assert "see one: sfmrl ascii-render orca" in done.stderr
+    assert "see one: sfmrl ascii-render orca --versus linear" in done.stderr
     with open(tmp_path / "c.csv") as file:
         lines = list(csv.DictReader(file))
     assert len(lines) == 40

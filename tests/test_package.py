@@ -30,10 +30,12 @@ LEVELS = (
         "models",
     ),
     (
+        "maps",
         "layouts",
         "placement",
         "scenarios",
         "planner",
+        "drawings",
         "rewards",
         "crowd",
         "actions",
@@ -44,7 +46,7 @@ LEVELS = (
     ),
     ("sweeps", "evaluation", "memory", "learning", "learner", "exploration", "runs", "imitation", "reinforcement"),
     ("tables", "results", "findings", "reports", "comparison", "campaign", "cluster"),
-    ("canvas", "story", "timeline", "panel", "screen", "replay", "curves"),
+    ("canvas", "story", "timeline", "panel", "plane", "layout", "screen", "replay", "exports", "curves"),
     ("explanation", "run_tables", "run_replay", "verification", "self_test", "doctor"),
     (
         "completion",

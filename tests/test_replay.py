@@ -17,10 +17,11 @@ from sfmrl.config import Reward, Simulation
 from sfmrl.episodes import Record, play
 from sfmrl.lookahead import Lookahead, SarlPolicy
 from sfmrl.panel import SHADES, action_disc
-from sfmrl.replay import make_frames, play_live, scene_picture, strip
+from sfmrl.replay import Replay, make_frames, scene_picture, strip
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenarios import Scenes, sample_scenes
-from sfmrl.screen import Player
+from sfmrl.screen import Player, play_live
+from sfmrl.story import tell
 from sfmrl.variants import make_config
 
 SIZES = [(80, 24), (120, 40), (60, 16), (40, 12), (200, 50), (20, 8), (9, 4), (1, 1)]
@@ -229,7 +230,45 @@ def test_narrow_or_low_frames_have_no_panel():
 
 def test_repulsion_and_what_contributes_most():
     plain = make_frames(record_of(walk(others=((1.0, 0.0), (-2.0, 0.0)))))[4].plain  # the robot is at (0, 0)
-    assert f"← {np.exp(-1.0) - np.exp(-2.0):.2f} m/s², mostly 1" in plain
+    assert f"⇐ {np.exp(-1.0) - np.exp(-2.0):.2f} m/s², mostly 1" in plain
+
+
+def test_repulsion_is_an_arrow_on_the_robot():
+    others = ((1.0, 0.0), (-3.0, 0.0))  # the robot is at (0, 0) and walks up
+    small, large = (make_frames(record_of(walk(others=others)), width=w, height=h)[4] for w, h in ((80, 24), (200, 50)))
+    np.testing.assert_array_equal(find("@", small) - find("⇐", small), [0, 1])
+    np.testing.assert_array_equal(find("@", small) - find("↑", small), [1, 0])
+    lines = large.plain.split("\n")
+    row = next(line for line in lines if "@" in line)
+    metre = next(len(line.split("├")[1].split("┤")[0]) + 2 for line in lines if "1 m ├" in line)  # columns
+    reach = (0.3 + 0.5 * (np.exp(-1.0) - np.exp(-3.0))) * metre
+    assert row.index("@") - row.index("⇐") == pytest.approx(reach, abs=1.5)
+    same = make_frames(record_of(walk(others=((0.0, -1.0), (-9.0, 0.0)))))[4]  # pushed the way that it goes
+    assert (find("@", same) - find("↑", same) == [1, 0]).all()
+    assert (find("@", same) - find("⇑", same) == [2, 0]).all()
+
+
+def test_where_there_is_room_each_element_has_its_repulsion():
+    others = ((1.0, 0.0), (-2.0, 0.0), (0.0, 3.0))
+    record = record_of(walk(others=others))
+    wide = make_frames(record, policy=Eyes(0.2, 0.5, 0.3), width=140, height=30)[4].plain
+    for name, glyph, distance in (("1", "⇐", 1.0), ("2", "⇒", 2.0), ("3", "⇓", 3.0)):
+        row = next(line for line in wide.split("\n") if "%" in line and line.split("│")[2].split()[0] == name)
+        assert f"{glyph} {np.exp(-distance):.2f}" in row
+    tall = make_frames(record, policy=Eyes(0.2, 0.5, 0.3), width=80, height=40)[4].plain
+    for name, glyph, distance in (("1", "⇐", 1.0), ("2", "⇒", 2.0), ("3", "⇓", 3.0)):
+        row = next(line for line in tall.split("\n") if f"of person {name}" in line)
+        assert row.endswith(f"{glyph} {np.exp(-distance):.2f} m/s²")
+
+
+def test_where_there_is_room_the_panel_tells_all_elements_and_terms(played):
+    record, policy = played
+    small, large = (make_frames(record, policy=policy, width=w, height=h)[5].plain for w, h in ((80, 24), (120, 40)))
+    assert large.count("%") == np.isfinite(record.position[0, 0, 1:, 0]).sum() == 10
+    assert small.count("%") < 10
+    for term in ("collision", "goal", "discomfort", "velocity", "distance"):
+        assert f"  {term} " in large
+    assert "  goal " not in small
 
 
 def test_actions_are_a_disc_dense_where_values_are_high():
@@ -265,6 +304,20 @@ def test_a_sarl_episode_is_told_with_its_reward(played):
         assert word in frames[5].plain
     total = frames[-1].plain.split("return so far")[1].split()[0]
     assert float(total) == pytest.approx(record.discounted_return[0], abs=1e-4)
+
+
+def test_what_is_faint_or_bold_stays_with_its_own_words():
+    story = tell(record_of(walk(), reward=0.25), 0)
+    console = screen()
+    for names, width in (("a",), 80), (("a", "b"), 80), (("a", "b"), 200):
+        text = Replay((story,) * len(names), names).frame(5, width, 24).text
+        start = -1
+        for _ in names:
+            start = text.plain.index("return", start + 1)
+            number = text.plain.index("+1.", start)
+            assert text.get_style_at_offset(console, start).dim
+            assert text.get_style_at_offset(console, number).bold
+            assert not text.get_style_at_offset(console, number).dim
 
 
 def test_too_close_is_marked_and_told():
@@ -409,68 +462,91 @@ def screen():
     )
 
 
+def film(record, act=lambda t, width, height: None):
+    """What draws a record for `play_live`, once `act` has been told of the moment and the size, and the last moment."""
+    replay = Replay((tell(record, 0),), ("",))
+
+    def draw(t, width, height):
+        act(t, width, height)
+        return replay.frame(t, width, height).text
+
+    return draw, replay.last
+
+
 def test_live_shows_every_frame_and_leaves_the_last(monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.StringIO())
-    console, frames = screen(), make_frames(record_of(walk()))
-    play_live(frames, console, speed=50.0)
-    shown = console.file.getvalue()
-    assert all(f"t {frame.time:5.2f} s" in shown for frame in frames)
-    assert "q quit" not in shown
-    assert "goal reached after 2.00 s" in shown.rstrip().split("\n")[-2]
-    assert "\x1b[?25h" in shown[-20:]  # the cursor is back
-
-
-class Watched:
-    """A frame that does something before it shows itself."""
-
-    def __init__(self, frame, act):
-        self.frame, self.act = frame, act
-
-    @property
-    def text(self):
-        self.act()
-        return self.frame.text
+    console = screen()
+    play_live(*film(record_of(walk())), console, speed=50.0)
+    playing, left = console.file.getvalue().split("\x1b[?1049l")  # back from the second screen
+    assert all(f"t {0.25 * k:5.2f} s" in playing for k in range(8))
+    assert "q quit" not in playing
+    assert "\x1b[?25h" in playing[-20:]  # the cursor is back
+    assert [line.rstrip() for line in left.rstrip().split("\n")] == make_frames(record_of(walk()))[-1].plain.split("\n")
 
 
 def test_live_obeys_keys_and_puts_the_terminal_back(keyboard):
     type_keys, terminal = keyboard
-    before, console, frames, seen = terminal(), screen(), make_frames(record_of(walk())), []
+    before, console, seen = terminal(), screen(), []
     keys = [b" ", b".", b"\x1b[C", b",", b"++", b"-", b"q"]  # pause, two on, one back, faster, slower, quit
 
-    def look(moment):
+    def look(moment, width, height):
         seen.append(moment)
-        assert terminal() != before  # single keys, no echo
         if keys:
+            assert terminal() != before  # single keys, no echo
             type_keys(keys.pop(0))
 
-    play_live([Watched(f, lambda moment=k: look(moment)) for k, f in enumerate(frames)], console, speed=0.01)
-    assert seen == [0, 0, 1, 2, 1, 1, 1]
-    shown = console.file.getvalue()
-    assert "q quit" in shown
-    assert "paused   x0.04" in shown
-    assert "paused   x0.02" in shown
-    assert "q quit" not in shown.split("\n")[-2]
+    play_live(*film(record_of(walk()), look), console, speed=0.01)
+    assert seen == [0, 0, 1, 2, 1, 1, 1, 1]
+    playing, left = console.file.getvalue().split("\x1b[?1049l")
+    assert "q quit" in playing
+    assert "paused   x0.04" in playing
+    assert "paused   x0.02" in playing
+    assert "q quit" not in left
     assert terminal() == before
 
 
 def test_live_puts_the_terminal_back_when_interrupted(keyboard):
     _, terminal = keyboard
-    before, console, frames = terminal(), screen(), make_frames(record_of(walk()))
+    before, console = terminal(), screen()
 
-    def interrupt():
-        assert terminal() != before
-        raise KeyboardInterrupt
+    def interrupt(moment, width, height):
+        if moment == 2 and terminal() != before:
+            raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        play_live([*frames[:2], Watched(frames[2], interrupt)], console, speed=100.0)
+        play_live(*film(record_of(walk()), interrupt), console, speed=100.0)
     assert terminal() == before
-    assert "\x1b[?25h" in console.file.getvalue()[-20:]
+    playing, left = console.file.getvalue().split("\x1b[?1049l")
+    assert "\x1b[?25h" in playing[-20:]
+    assert "t  0.50 s" in left
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_live_is_drawn_anew_when_the_terminal_changes_its_size(keyboard, paused):
+    type_keys, _ = keyboard
+    console, sizes = screen(), []
+    new = iter([(120, 40), (61, 20), (9, 3), (200, 50)])
+
+    def look(moment, width, height):
+        sizes.append((width, height))
+        if len(sizes) == 1 and paused:
+            type_keys(b" ")
+        elif (size := next(new, None)) is not None:
+            console.size = size
+        elif len(sizes) < 9:
+            type_keys(b"q")
+
+    play_live(*film(record_of(walk()), look), console, speed=0.01)
+    assert list(dict.fromkeys(sizes)) == [(80, 24), (120, 39), (61, 19), (9, 2), (200, 49)]
+    left = console.file.getvalue().split("\x1b[?1049l")[1].split("\n")
+    assert len([line for line in left if line.strip()]) == 49  # the last one, in the last size
+    assert max(map(len, left)) > 120
 
 
 def test_live_writes_the_last_frame_where_there_is_no_terminal():
+    console = Console(file=io.StringIO(), width=80, height=25)
+    play_live(*film(record_of(walk())), console)
     frames = make_frames(record_of(walk()))
-    console = Console(file=io.StringIO(), width=80)
-    play_live(frames, console)
     assert [line.rstrip() for line in console.file.getvalue().rstrip().split("\n")] == frames[-1].plain.split("\n")
 
 

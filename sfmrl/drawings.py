@@ -1,0 +1,85 @@
+"""Maps in text files as scenes and environments, and scenes as maps; `maps.py` has the format."""
+
+from pathlib import Path
+
+import numpy as np
+
+from sfmrl.config import ConfigError, Planner
+from sfmrl.layouts import DRAWN
+from sfmrl.maps import CELL, GOALS, PEOPLE, Drawing, parse
+from sfmrl.planner import UNREACHABLE, plan
+from sfmrl.scenarios import Scenes
+
+LARGEST = 100_000  # bytes of a map's file: far more than a map and its comments need
+
+
+def read_map(text: str, name: str = "map") -> Scenes:
+    """The one episode that a text draws, without noise; raises ConfigError (with `name`, line, column) on bad maps."""
+    return _scenes(parse(text, name))
+
+
+def load_map(path: str | Path) -> str:
+    """The environment, for `sample_scenes` and its like, that a text file draws; it holds the drawing itself.
+
+    Raises ConfigError, with the file's name, line and column, where it draws none.
+    """
+    path = Path(path)
+    try:
+        with open(path, "rb") as file:
+            text = file.read(LARGEST + 1)
+    except FileNotFoundError:
+        raise ConfigError(f"there is no map {path}; sfmrl ascii-render --draw prints one to begin with") from None
+    except IsADirectoryError:
+        raise ConfigError(f"{path} is a folder; name a text file with a map") from None
+    if len(text) > LARGEST:
+        raise ConfigError(f"{path} is larger than any map, {LARGEST} bytes")
+    try:
+        drawing = parse(text.decode("utf-8-sig"), str(path))
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path} is not text in UTF-8, as a map is") from None
+    return DRAWN + draw_map(_scenes(drawing)).rstrip("\n").replace("\n", "/")
+
+
+def draw_map(scenes: Scenes, episode: int = 0) -> str:
+    """The scene in row `episode` as a map that `read_map` reads, all to the nearest place.
+
+    Of a scene that was read from a map the very same; sizes and speeds are lost. Raises ConfigError where a map cannot
+    show the scene: more than nine people, or two things in one place.
+    """
+    start, goal, square = scenes.start[episode], scenes.goal[episode], scenes.square[episode]
+    people = np.flatnonzero(~square & ~np.isnan(start[:, 0]))[1:]
+    if len(people) > len(PEOPLE):
+        raise ConfigError(f"a map shows at most {len(PEOPLE)} people, and this scene has {len(people)}")
+    characters = ["R", "G", *PEOPLE[: len(people)], *"#" * square.sum(), *GOALS[: len(people)]]
+    points = np.concatenate((start[:1], goal[:1], start[people], start[square], goal[people])) / CELL
+    # The middle of the drawing is the middle of a place, or the corner of four: whichever fits better.
+    fits = [np.floor(points + 0.5), np.floor(points) + 0.5]
+    places = np.where(np.abs(fits[0] - points).sum(0) <= np.abs(fits[1] - points).sum(0), *fits)
+    columns, rows = (2 * np.abs(places).max(0) + 1).astype(int)
+    drawn = np.full((rows, columns), ".")
+    for k, (character, (x, y)) in enumerate(zip(characters, places, strict=True)):
+        if character in GOALS and (places[k] == -places[2 + GOALS.index(character)]).all():
+            continue  # the place opposite goes without saying
+        at = int((rows - 1) / 2 - y), int(x + (columns - 1) / 2)
+        if drawn[at] != ".":
+            raise ConfigError(f"a map has one character a place, and {drawn[at]} and {character} share one here")
+        drawn[at] = character
+    text = "".join("".join(line) + "\n" for line in drawn)
+    parse(text, "the drawing")
+    return text
+
+
+def hindrance(scenes: Scenes, time_limit: float) -> str | None:
+    """Why nobody could bring the robot to its goal in the first episode, in words; None where nothing says so."""
+    far = float(plan(scenes.take([0]), Planner(inflation=0.0)).at(np.array([0]), scenes.start[:1, 0])[0])
+    if far >= UNREACHABLE:
+        return "unsolvable, the squares leave no way to the goal (a passage must be two characters wide)"
+    if far > time_limit * scenes.v_pref[0, 0]:
+        return f"the way to the goal is {far:.0f} m, more than the robot can go in --time-limit {time_limit:g} (s)"
+    return None
+
+
+def _scenes(drawing: Drawing) -> Scenes:
+    places = [np.concatenate((end, drawing.squares))[None] for end in (drawing.start, drawing.goal)]
+    square = np.arange(places[0].shape[1]) >= len(drawing.start)
+    return Scenes(*places, square=square, environment="map")
