@@ -4,22 +4,42 @@ Exit codes: 0 done, 1 failed, 2 wrong use, 130 interrupted. NumPy and torch are 
 """
 
 import sys
+from typing import Annotated
 
 import typer
 
-from sfmrl import evaluation_commands, replay_commands, table_commands, training_commands
+from sfmrl import (
+    __version__,
+    evaluation_commands,
+    replay_commands,
+    table_commands,
+    teaching_commands,
+    training_commands,
+)
 from sfmrl.config import ConfigError
-from sfmrl.console import say
+from sfmrl.console import say, say_result
 from sfmrl.files import DamagedFile
+from sfmrl.greeting import greeting
 
 app = typer.Typer(
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="Teach a robot to cross a crowd: imitate ORCA, then reinforce, with and without social forces.",
 )
-for commands in (training_commands, evaluation_commands, replay_commands, table_commands):
+for commands in (training_commands, evaluation_commands, replay_commands, table_commands, teaching_commands):
     app.add_typer(commands.app)
+
+
+@app.callback(invoke_without_command=True)
+def start(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False,
+) -> None:
+    """Teach a robot to cross a crowd: imitate ORCA, then reinforce, with and without social forces."""
+    if version:
+        say_result(f"sfmrl {__version__}")
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        say_result(greeting())
 
 
 def main() -> None:
@@ -33,6 +53,9 @@ def main() -> None:
         code, reason = 2, str(error)
     except (KeyboardInterrupt, typer.Abort):
         code, reason = 130, "interrupted"
+    except MemoryError as error:
+        said = "ask for fewer --episodes at a time, a shorter --time-limit, or a smaller --memory"
+        code, reason = 1, f"out of memory; {said} ({error})"
     except OSError as error:
         code, reason = 1, f"{error.filename or ''}: {error.strerror or error}".strip(": ")
     else:

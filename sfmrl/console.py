@@ -38,6 +38,22 @@ def say_result(text: str) -> None:
     out.print(text, markup=False, soft_wrap=True)
 
 
+def say_finding(what: str, good: bool | None, said: str) -> None:
+    """On standard output: something that was looked at, and whether it is as it should be (None: that is not judged).
+
+    A line each where it is read by a program; in a terminal, long ones are broken within their column.
+    """
+    word, style = {True: ("ok", "green"), False: ("not ok", "bold red"), None: ("-", "dim")}[good]
+    if not out.is_terminal:
+        say_result(f"{word:7}{what:15} {said}")
+        return
+    table = Table.grid(padding=(0, 1, 0, 0))
+    for width in (6, 15, None):
+        table.add_column(width=width)
+    table.add_row(Text(word, style), Text(what, "bold"), Text(said))
+    out.print(table)
+
+
 def replay_command(
     policy: str | None,
     place: tuple[str, Any] | None,

@@ -57,10 +57,12 @@ def read_checked(path: Path) -> bytes:
     path = Path(path)
     expected = read_sums(path.parent).get(path.name)
     if expected is None:
-        raise DamagedFile(f"{path} has no SHA-256 in {path.with_name(SUMS)}, so it cannot be trusted")
+        raise DamagedFile(
+            f"{path} has no SHA-256 in {path.with_name(SUMS)}, so it cannot be trusted; put back the whole folder"
+        )
     data = path.read_bytes()
     if hashlib.sha256(data).hexdigest() != expected:
-        raise DamagedFile(f"{path} is damaged: its SHA-256 is not the one in {path.with_name(SUMS)}")
+        raise DamagedFile(f"{path} is damaged: its SHA-256 is not the one in {path.with_name(SUMS)}; put back a copy")
     return data
 
 
@@ -72,7 +74,7 @@ def read_sums(folder: Path) -> dict[str, str]:
     except FileNotFoundError:
         return {}
     except UnicodeDecodeError:
-        raise DamagedFile(f"{path} is damaged: it is not text") from None
+        raise DamagedFile(f"{path} is damaged: it is not text; put back a copy") from None
     pairs = [line.split("  ", 1) for line in lines]
     return {pair[1]: pair[0] for pair in pairs if len(pair) == 2}
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from sfmrl import completion
 from sfmrl.config import Config
 from sfmrl.variants import MIXES, PRESETS, VARIANTS, make_config
 
@@ -33,20 +34,37 @@ def option(help: str, *flags: str, **extra: Any) -> Any:
 
 
 Threads = Annotated[int | None, option("threads to use (default one a core)", min=1)]
-Device = Annotated[str, option("torch device: cpu, cuda, ... (default cpu)")]
+Device = Annotated[
+    str, option("torch device: cpu, cuda, ... (default cpu)", autocompletion=completion.among("cpu", "cuda", "mps"))
+]
 RunFolder = Annotated[Path | None, option("run folder to make (default a new one under runs/)")]
-Resume = Annotated[Path | None, option("go on with this run, to the same bits as if it had never stopped")]
+Resume = Annotated[
+    Path | None,
+    option(
+        "go on with this run, to the same bits as if it had never stopped", autocompletion=completion.unfinished_runs
+    ),
+]
 Continue = Annotated[
     bool, option("if --run is there already, go on with it; leave it be if it is finished", "--continue")
 ]
 Overwrite = Annotated[bool, option("replace what is there already", "--overwrite")]
-Variant = Annotated[str | None, option(f"the paper's variant: {', '.join(VARIANTS)} (default sarl)")]
+Variant = Annotated[
+    str | None,
+    option(f"the paper's variant: {', '.join(VARIANTS)} (default sarl)", autocompletion=completion.variants),
+]
 PolicyName = Annotated[
-    str | None, typer.Argument(help="linear, orca, sfm, a run folder or a weights file (default the newest run)")
+    str | None,
+    typer.Argument(
+        help="linear, orca, sfm, a run folder or a weights file (default the newest run)",
+        autocompletion=completion.policies,
+    ),
 ]
 Environment = Annotated[
     str | None,
-    option(f"1 to 5, circle, circle5, {', '.join(MIXES)} or shares, 1:0.7,2:0.3 (default the policy's test mix)"),
+    option(
+        f"1 to 5, circle, circle5, {', '.join(MIXES)} or shares, 1:0.7,2:0.3 (default the policy's test mix)",
+        autocompletion=completion.environments,
+    ),
 ]
 
 MapFile = Annotated[
@@ -110,9 +128,18 @@ def _parameter(section: str, name: str) -> inspect.Parameter:
         help=f"{knob.metadata['help']}{choices} ({default})",
         show_default=False,
         rich_help_panel=TITLES[section],
+        autocompletion=_completion(name, knob.metadata["choices"]),
     )
     kind = type(knob.default) | None
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Annotated[kind, option])
+
+
+def _completion(name: str, choices: tuple[str, ...]) -> completion.Completion | None:
+    """What the shell completes a knob to; None where any number or text can follow."""
+    if choices:
+        return completion.among(*choices)
+    environments = completion.environments
+    return {"reward": completion.rewards, "environment": environments, "test_environment": environments}.get(name)
 
 
 def _text(value: Any) -> str:

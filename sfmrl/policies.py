@@ -6,12 +6,11 @@ import numpy as np
 
 from sfmrl.config import CROWD_FORCE, ConfigError, suggest
 from sfmrl.crowd import World, orca_crowd
+from sfmrl.folders import WEIGHTS
 from sfmrl.lookahead import Policy, SarlPolicy, available_cores
 from sfmrl.models import model_names, model_weights
 from sfmrl.recovery import with_recovery
 from sfmrl.sfm import sfm_velocities
-
-WEIGHTS = "weights.pt"  # a run's trained network, in its folder
 
 
 def linear_policy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
@@ -68,7 +67,7 @@ def load_policy(name_or_path: str | Path, threads: int | None = None, device: st
         )
     if path.is_dir():
         if not (path / "run.json").exists() and not (path / WEIGHTS).exists():
-            raise ConfigError(f"{path} is not a run folder: it has neither run.json nor {WEIGHTS}")
+            raise ConfigError(f"{path} is not a run folder: it has neither run.json nor {WEIGHTS}; name one that has")
         if not (path / WEIGHTS).exists():
             raise ConfigError(
                 f"{path} holds no {WEIGHTS}: that training has not ended; go on with it by --resume {path}"

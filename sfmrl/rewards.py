@@ -145,7 +145,9 @@ def _load(name: str) -> Callable[[Transition, Reward], np.ndarray]:
     try:
         if place.endswith(".py"):
             if not Path(place).is_file():
-                raise ConfigError(f"reward {name}: there is no file {place}")
+                raise ConfigError(
+                    f"reward {name}: there is no file {place}; put it there, or write its path as seen from here"
+                )
             spec = importlib.util.spec_from_file_location(Path(place).stem, place)
             module = importlib.util.module_from_spec(spec)
             spec.loader.exec_module(module)

@@ -31,15 +31,13 @@ import torch
 from sfmrl import __version__
 from sfmrl.config import Config, ConfigError
 from sfmrl.files import DamagedFile, csv_text, read_checked, remove_checked, write_atomically
+from sfmrl.folders import RUNS, WEIGHTS, kind_of, run_folders
 from sfmrl.network import ValueNetwork, resolved
-from sfmrl.policies import WEIGHTS
 from sfmrl.rewards import reward_digest, reward_terms
 from sfmrl.scenarios import parse_mix
 from sfmrl.variants import variant_name
 from sfmrl.weights import save_weights
 
-RUNS = Path("runs")
-KINDS = ("il", "rl")
 KEEP = 2  # checkpoints kept: the newest, and one to fall back on
 
 
@@ -87,7 +85,7 @@ class Run:
             data = read_checked(saved[-1])
         except DamagedFile as error:
             before = f"to go on from {saved[-2].name}" if len(saved) > 1 else "to start this run anew"
-            raise DamagedFile(f"{error}; delete it {before}") from None
+            raise DamagedFile(f"{error}, or delete it {before}") from None
         return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
 
     def write_table(self, name: str, rows: list[dict[str, Any]]) -> None:
@@ -187,30 +185,13 @@ def open_run(folder: Path, kind: str | None = None) -> Run:
     """Open a run folder; raises ConfigError where it is none (or of another kind), DamagedFile where it is damaged."""
     if not (folder / "run.json").is_file() or not (folder / "config.json").is_file():
         what = "is not a run folder: it has no run.json and config.json" if folder.exists() else "does not exist"
-        raise ConfigError(f"{folder} {what}; known runs: {', '.join(map(str, run_folders())) or 'none yet'}")
+        known = ", ".join(map(str, run_folders())) or "none yet, sfmrl il makes one"
+        raise ConfigError(f"{folder} {what}; known runs: {known}")
     facts = json.loads(read_checked(folder / "run.json"))
     config = Config.from_json(read_checked(folder / "config.json").decode())
     if kind and facts["kind"] != kind:
-        raise ConfigError(f"{folder} is a run of sfmrl {facts['kind']}, not of sfmrl {kind}")
+        raise ConfigError(f"{folder} is a run of sfmrl {facts['kind']}, not of sfmrl {kind}; name one of those")
     return Run(folder, facts["kind"], config, facts)
-
-
-def run_folders(kind: str | None = None) -> list[Path]:
-    """Folders under runs/ that hold a run (of a kind), the newest first."""
-    found = []
-    for path in RUNS.glob("*/run.json"):
-        if kind_of(path.parent) in (KINDS if kind is None else (kind,)):
-            found.append((json.loads(path.read_text()).get("created", ""), path.parent))
-    return [folder for _, folder in sorted(found, reverse=True)]
-
-
-def kind_of(folder: Path) -> str | None:
-    """Which kind of run a folder holds; None where it holds none that can be told."""
-    try:
-        facts = json.loads((folder / "run.json").read_text())
-    except (OSError, ValueError):
-        return None
-    return facts.get("kind") if isinstance(facts, dict) and facts.get("kind") in KINDS else None
 
 
 def newest_run() -> Path:

@@ -35,7 +35,7 @@ def existing(folder: Path | None, overwrite: bool, go_on: bool) -> dict[str, boo
     if go_on and folder is None:
         raise ConfigError("--continue needs the folder to go on with; name it with --run")
     if go_on and overwrite:
-        raise ConfigError("--continue and --overwrite exclude each other")
+        raise ConfigError("--continue and --overwrite exclude each other; leave out one of them")
     return {"overwrite": overwrite, "go_on": go_on}
 
 
@@ -76,7 +76,8 @@ def train(run: Any, work: Callable[..., Any]) -> Any:
 
     how = f"sfmrl {run.kind} --resume {shlex.quote(str(run.folder))}"
     if run.finished:
-        raise ConfigError(f"{run.folder} is finished; there is nothing to go on with")
+        next_step = f"test it with sfmrl eval {shlex.quote(str(run.folder))}, or begin another run"
+        raise ConfigError(f"{run.folder} is finished; there is nothing to go on with: {next_step}")
     say(f"run folder {run.folder}")
     if run.facts.get("own_reward") != reward_digest(run.config.reward):
         raise ConfigError(f"{run.config.reward.reward} has changed since {run.folder} began; start a new run with it")

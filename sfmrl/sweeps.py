@@ -15,6 +15,7 @@ from sfmrl.placement import CIRCLE
 from sfmrl.scenarios import STREAMS, Scenes, sample_scenes
 
 MOST = 200  # values of a sweep
+MOST_PEOPLE = 1000
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,8 @@ def humans(value: float, simulation: Simulation, sample: Sample) -> tuple[Scenes
     """
     if value != int(value) or value < 0:
         raise ConfigError(f"--sweep humans has the value {value:g}; people come in whole numbers")
+    if value > MOST_PEOPLE:
+        raise ConfigError(f"--sweep humans has the value {value:g}; it must be at most {MOST_PEOPLE}")
     return sample(people=int(value), circle=max(CIRCLE, 2.0 + 0.2 * value)), simulation
 
 

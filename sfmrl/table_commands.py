@@ -48,8 +48,7 @@ def table(
     from sfmrl.reports import csv_rows, sheets
 
     chosen, numbers = parse_rows(number, rows), parse_seeds(seeds)
-    if preset not in PRESETS:
-        raise ConfigError(f"there is no preset {preset!r}; choose {', '.join(PRESETS)}")
+    _known(preset)
     if on not in ("here", "ray"):
         raise ConfigError(f"--on {on}: choose here or ray")
     for flag, path in (("csv", csv), ("markdown", markdown)):
@@ -96,6 +95,7 @@ def figure(
 
     from sfmrl.curves import curve_rows, draw_curves
 
+    _known(preset)
     for flag, path in (("csv", csv), ("svg", svg)):
         new_file(path, flag, overwrite)
     lines = curve_rows(_read(folder, number, preset, parse_rows(number, rows), parse_seeds(seeds)))
@@ -108,6 +108,11 @@ def figure(
         svg.write_text(paper.export_svg(title=f"Validation success, table {number}, {preset} preset"))
     for line in draw_curves(lines, max(out.width, 40), max(out.height - 2, 16)):
         out.print(line if out.is_terminal else line.plain, highlight=False)
+
+
+def _known(preset: str) -> None:
+    if preset not in PRESETS:
+        raise ConfigError(f"there is no preset {preset!r}; choose {', '.join(PRESETS)}")
 
 
 def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:

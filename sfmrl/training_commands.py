@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
+from sfmrl import completion
 from sfmrl.config import Config, ConfigError
 from sfmrl.console import print_metrics, say
 from sfmrl.options import (
@@ -64,7 +65,12 @@ def il(
 def rl(
     variant: Variant = None,
     source: Annotated[
-        Path | None, option("imitation run to start from (default the newest that fits)", "--from")
+        Path | None,
+        option(
+            "imitation run to start from (default the newest that fits)",
+            "--from",
+            autocompletion=completion.imitation_runs,
+        ),
     ] = None,
     from_scratch: Annotated[bool, option("start without imitation", "--from-scratch")] = False,
     map_file: MapFile = None,
@@ -101,7 +107,7 @@ def rl(
         )
     else:
         if source and from_scratch:
-            raise ConfigError("--from and --from-scratch exclude each other")
+            raise ConfigError("--from and --from-scratch exclude each other; leave out one of them")
         schedule = settings.setdefault("reinforcement", {})
         if environment := drawn(map_file, schedule.get("environment")):
             schedule["environment"] = environment

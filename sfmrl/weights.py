@@ -48,7 +48,9 @@ def load_weights(path: Path) -> tuple[ValueNetwork, Config]:
     try:
         content = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except Exception as error:  # torch's reader raises whatever the bytes lead it to
-        raise ConfigError(f"{path} is not a weights file that torch can load safely") from error
+        raise ConfigError(
+            f"{path} is not a weights file that torch can load safely; name a run folder, or its weights.pt"
+        ) from error
     if isinstance(content, dict) and {"weights", "config"} <= set(content):
         try:
             config = Config.from_json(content["config"])

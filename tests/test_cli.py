@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable
@@ -10,13 +11,20 @@ from pathlib import Path
 
 import pytest
 import torch
+import typer
 from conftest import ROOT, environment
 
-from sfmrl.cli import main
-from sfmrl.variants import make_config
+from sfmrl import __version__, completion
+from sfmrl.cli import app, main
+from sfmrl.models import model_names
+from sfmrl.policies import POLICIES
+from sfmrl.rewards import REWARDS
+from sfmrl.scenarios import ENVIRONMENTS, parse_mix
+from sfmrl.variants import PRESETS, VARIANTS, make_config
 from sfmrl.weights import load_weights
 
 Call = Callable[..., subprocess.CompletedProcess]
+COMMANDS = typer.main.get_command(app).commands
 TINY_IL = ("--episodes", "6", "--epochs", "2")
 TINY_RL = ("--episodes", "4", "--parallel", "4", "--validation-episodes", "2", "--test-episodes", "4")
 
@@ -147,6 +155,18 @@ WRONG_USE = [
     (("ascii-render", "orca", "--episode", "-1"), ("--episode",)),
     (("ascii-render", "orca", "--environment", "9"), ("there is no environment '9'",)),
     (("train",), ("train",)),
+    (("rl", "--resume", "nowhere"), ("nowhere does not exist", "none yet, sfmrl il makes one")),
+    (("il", "--continue"), ("--run",)),
+    (("eval", "orca", "--sweep", "humans=1e9"), ("humans", "at most 1000")),
+    (("eval", "orca", "--reward", "mine.py:mine"), ("there is no file mine.py", "path")),
+    (("explain", "orca", "--steps", "x"), ("--steps is 'x'", "as in 10:20")),
+    (("explain", "orca", "--every", "0"), ("--every",)),
+    (("explain", "orca", "--csv", "."), ("is a folder", "name")),
+    (("verify",), ("run", "--help")),
+    (("verify", "nowhere"), ("nowhere does not exist",)),
+    (("verify", ".", "--tolerance", "2"), ("--tolerance is 2", "from 0 to 1")),
+    (("figure", "1", "--preset", "papre"), ("choose paper, quick",)),
+    (("doctor", "--tests"), ("--test",)),
 ]
 
 
@@ -275,7 +295,7 @@ def test_scenes_are_drawn_without_playing(sfmrl: Call):
     assert all(f"environment {name}" in done.stdout for name in "12345")
 
 
-@pytest.mark.parametrize("command", ["", "il", "rl", "eval", "ascii-render"])
+@pytest.mark.parametrize("command", ["", *COMMANDS])
 def test_help_answers_without_numpy_or_torch(command):
     code = (
         "import runpy, sys\n"
@@ -312,3 +332,114 @@ def test_the_launcher_works_from_a_checkout_without_installing(tmp_path, words):
     done = subprocess.run(command, env=plain, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "Teach a robot" in done.stdout or json.loads(done.stdout)["episodes"] == 2
+
+
+def lay_runs(folder: Path, *runs: tuple[str, str, bool]) -> None:
+    """Run folders as far as `sfmrl` alone looks at them: (name, kind, finished), the last the newest."""
+    for number, (name, kind, finished) in enumerate(runs):
+        run = folder / "runs" / name
+        run.mkdir(parents=True)
+        (run / "run.json").write_text(json.dumps({"kind": kind, "created": f"2026-01-0{number + 1}"}))
+        (run / "config.json").write_text(json.dumps({"preset": "paper", "seed": 3} if "paper" in name else {}))
+        if finished:
+            (run / "weights.pt").touch()
+
+
+STANDS = {
+    "no runs": ((), ["sfmrl il && sfmrl rl --reward sfm", "sfmrl ascii-render orca"]),
+    "imitation alone": ([("a", "il", True)], ["sfmrl rl --reward sfm  ", "sfmrl ascii-render runs/a"]),
+    "of another preset": ([("paper", "il", True)], ["sfmrl rl --reward sfm --preset paper --seed 3"]),
+    "trained": ([("a", "il", True), ("b", "rl", True)], ["sfmrl eval runs/b", "sfmrl ascii-render runs/b"]),
+    "stopped": ([("a", "il", True), ("b c", "rl", False)], ["sfmrl rl --resume 'runs/b c'", "sfmrl rl --reward"]),
+    "stopped at once": ([("a", "il", False)], ["sfmrl il --resume runs/a", "sfmrl ascii-render orca"]),
+    "stopped before": ([("a", "rl", False), ("b", "rl", True)], ["runs/b is trained", "sfmrl eval runs/b"]),
+}
+
+
+@pytest.mark.parametrize("stand", STANDS)
+def test_sfmrl_alone_says_what_to_type_next(in_process: Call, tmp_path: Path, stand):
+    runs, said = STANDS[stand]
+    lay_runs(tmp_path, *runs)
+    done = in_process()
+    assert (done.returncode, done.stderr) == (0, "")
+    assert all(words in done.stdout for words in said), done.stdout
+    assert len(done.stdout.splitlines()) <= 8
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    for line in re.findall(r"^  (sfmrl .*?)(?:  |$)", done.stdout, re.MULTILINE):
+        for words in (shlex.split(part)[1:] for part in line.split("&&")):  # what it says can be typed
+            if words[0] != "--help":
+                known = {flag for parameter in COMMANDS[words[0]].params for flag in parameter.opts}
+                assert {word for word in words if word.startswith("--")} <= known
+
+
+def test_runs_that_cannot_be_read_do_not_keep_sfmrl_from_greeting(in_process: Call, tmp_path: Path):
+    lay_runs(tmp_path, ("a", "il", True), ("b", "rl", True))
+    (tmp_path / "runs" / "b" / "run.json").write_bytes(b"\xff")
+    (tmp_path / "runs" / "a" / "config.json").write_text("null")
+    assert "runs/a has learnt from ORCA" in in_process().stdout
+
+
+@pytest.mark.parametrize("words", [[], ["--version"]])
+def test_greeting_and_version_need_neither_numpy_nor_torch(tmp_path: Path, words):
+    code = (
+        "import sys\n"
+        "from sfmrl.cli import main\n"
+        f"sys.argv = ['sfmrl', *{words!r}]\n"
+        "try: main()\n"
+        "finally: print(sorted({'numpy', 'torch'} & set(sys.modules)), file=sys.stderr)"
+    )
+    call = [sys.executable, "-c", code]
+    done = subprocess.run(call, env=environment(), cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "[]\n")
+    assert done.stdout.startswith(f"sfmrl {__version__}")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_an_example_that_can_be_typed(name):
+    line = COMMANDS[name].epilog.removeprefix("Example: ")
+    program, command, *words = shlex.split(line)
+    assert (program, command) == ("sfmrl", name)
+    context = COMMANDS[name].make_context(f"sfmrl {name}", words)  # parsed as it would be, but not run
+    assert context.params
+
+
+def completed(in_process: Call, monkeypatch, *words: str) -> set[str]:
+    """What the shell is offered for the last of the words."""
+    monkeypatch.setattr(sys.modules["__main__"], "__package__", "")  # the command is called sfmrl, not pytest
+    monkeypatch.setenv("_SFMRL_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", " ".join(("sfmrl", *words)))
+    monkeypatch.setenv("COMP_CWORD", str(len(words)))
+    return set(in_process().stdout.split())
+
+
+def test_the_shell_completes_commands_names_and_runs(in_process: Call, monkeypatch, tmp_path: Path):
+    lay_runs(tmp_path, ("a", "il", True), ("b", "rl", True), ("c", "rl", False))
+    for words, offered in (
+        (("",), set(COMMANDS)),
+        (("il", "--variant", "sarl-"), {name for name in VARIANTS if name.startswith("sarl-")}),
+        (("il", "--preset", ""), set(PRESETS)),
+        (("rl", "--test-environment", "t"), {"table1", "table2"}),
+        (("eval", "orca", "--environment", ""), set(completion.ENVIRONMENTS)),
+        (("eval", "orca", "--crowd", ""), {"orca", "sfm"}),
+        (("eval", ""), {*POLICIES, *model_names(), "runs/a", "runs/b"}),
+        (("eval", "runs/"), {"runs/a", "runs/b"}),
+        (("rl", "--from", ""), {"runs/a"}),
+        (("rl", "--resume", ""), {"runs/c"}),
+        (("verify", ""), {"runs/a", "runs/b", "runs/c"}),
+    ):
+        assert completed(in_process, monkeypatch, *words) == offered, words
+
+
+def test_what_the_shell_is_offered_is_what_there_is():
+    assert set(completion.REWARDS) == set(REWARDS)
+    assert set(completion.POLICIES) == set(POLICIES)
+    assert set(ENVIRONMENTS) <= set(completion.ENVIRONMENTS)
+    assert all(parse_mix(name) for name in completion.ENVIRONMENTS)
+
+
+def test_too_little_memory_is_one_line_with_what_helps(in_process: Call):
+    done = in_process("eval", "orca", "--episodes", "2", "--time-limit", "1e12")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert len(done.stderr.splitlines()) == 1
+    assert "out of memory" in done.stderr
+    assert "--time-limit" in done.stderr

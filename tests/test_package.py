@@ -15,7 +15,7 @@ import sfmrl
 
 # The house from the ground up: a file imports only from those before it.
 LEVELS = (
-    ("config", "variants", "geometry", "vectors", "files", "progress", "stopping", "intervals"),
+    ("config", "variants", "folders", "geometry", "vectors", "files", "progress", "stopping", "intervals"),
     (
         "linear_programs",
         "polygons",
@@ -47,19 +47,24 @@ LEVELS = (
     ("sweeps", "evaluation", "memory", "learning", "learner", "exploration", "runs", "imitation", "reinforcement"),
     ("tables", "results", "findings", "reports", "comparison", "campaign", "cluster"),
     ("canvas", "story", "timeline", "panel", "plane", "layout", "screen", "replay", "exports", "curves"),
+    ("explanation", "run_tables", "run_replay", "verification", "self_test", "doctor"),
     (
+        "completion",
         "options",
         "console",
+        "explanation_tables",
+        "greeting",
         "session",
         "training_commands",
         "evaluation_commands",
         "replay_commands",
         "table_commands",
+        "teaching_commands",
         "cli",
     ),
 )
 ORDER = [name for level in LEVELS for name in level]
-WITH_TORCH = {"network", "weights", "gradients", "memory", "learning", "learner", "exploration", "runs"}
+WITH_TORCH = {"network", "weights", "gradients", "memory", "learning", "learner", "exploration", "runs", "self_test"}
 PACKAGE = sorted((ROOT / "sfmrl").glob("*.py"))
 MODELS = sorted((ROOT / "sfmrl" / "models").iterdir())
 FILES = [path for path in PACKAGE if path.stem not in ("__init__", "__main__")]

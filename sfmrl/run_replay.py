@@ -1,0 +1,103 @@
+"""What a run's numbers come from, played again: its network's test episodes, or ORCA's demonstrations."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+
+from sfmrl import run_tables
+from sfmrl.episodes import Record, play_episodes
+from sfmrl.evaluation import episode_rows, evaluation_record
+from sfmrl.folders import WEIGHTS
+from sfmrl.imitation import DEMONSTRATIONS, load_demonstrations
+from sfmrl.lookahead import Policy, SarlPolicy
+from sfmrl.policies import orca_policy
+from sfmrl.progress import Progress
+from sfmrl.recovery import with_recovery
+from sfmrl.reinforcement import EVALUATION_SEED
+from sfmrl.run_tables import Disagreement
+from sfmrl.runs import Run
+from sfmrl.scenarios import sample_scenes
+from sfmrl.weights import load_weights
+
+
+@dataclass(frozen=True)
+class Replay:
+    """How to play again: at most so many episodes, the share of them that may end otherwise, and on how many threads.
+
+    Its methods say what they found, or raise Disagreement.
+    """
+
+    episodes: int
+    tolerance: float
+    threads: int
+    progress: Progress
+
+    def demonstrations(self, run: Run) -> str:
+        """The demonstrations that are kept, against ORCA's own in the same scenes."""
+        settings, simulation = run.config.imitation, run.config.simulation
+        kept = load_demonstrations(run.folder / DEMONSTRATIONS, simulation)
+        if len(kept.steps) != settings.episodes:
+            raise Disagreement(f"it holds {len(kept.steps)} demonstrations, config.json asks for {settings.episodes}")
+        count = min(self.episodes, settings.episodes)
+        scenes = sample_scenes(settings.environment, count, run.config.seed, phase="imitation")
+        again = play_episodes(scenes, orca_policy, run.config.reward, simulation)
+        kept = kept.take(np.arange(count))
+        differ = (kept.outcome != again.outcome) | (kept.steps != again.steps)
+        moments = again.position.shape[1]
+        exact = np.array_equal(kept.position[:, :moments], again.position, equal_nan=True)
+        return self._judged(differ, exact, f"of {settings.episodes} demonstrations, played by ORCA again,")
+
+    def tests(self, run: Run, weights: str = WEIGHTS, name: str = "test.csv") -> str:
+        """Test episodes with the network alone, against their table; in older runs, which have none, the failures."""
+        record = self._play(run, self._policy(run, weights))
+        count, whole = len(record.steps), run.config.reinforcement.test_episodes
+        what = f"of {whole} test episodes, played by {weights} alone,"
+        if not (run.folder / name).exists():
+            return self._against_failures(record, _result(run), whole, what)
+        kept = run_tables.table(run.folder / name)[:count]
+        again = [{key: str(value) for key, value in row.items()} for row in episode_rows(record)]
+        pairs = zip(kept, again, strict=True)
+        differ = np.array([any(one[key] != other[key] for key in ("outcome", "steps")) for one, other in pairs])
+        return self._judged(differ, kept == again, what)
+
+    def with_recovery(self, run: Run) -> str:
+        """The same with recovery, of which only the failures are kept."""
+        record = self._play(run, with_recovery(self._policy(run, WEIGHTS), run.config.planner))
+        whole = run.config.reinforcement.test_episodes
+        return self._against_failures(record, _result(run)["with_recovery"], whole, f"of {whole} test episodes")
+
+    def _policy(self, run: Run, weights: str) -> SarlPolicy:
+        network, _ = load_weights(run.folder / weights)
+        return SarlPolicy(network, run.config, self.threads)
+
+    def _play(self, run: Run, policy: Policy) -> Record:
+        """Test episodes, as a training plays them at its end."""
+        settings = run.config.reinforcement
+        return evaluation_record(
+            policy,
+            environment=settings.test_environment,
+            episodes=min(self.episodes, settings.test_episodes),
+            seed=EVALUATION_SEED,
+            simulation=run.config.simulation,
+            progress=self.progress,
+        )
+
+    def _against_failures(self, record: Record, part: dict, whole: int, what: str) -> str:
+        kept = np.array(run_tables.outcomes(part, whole))[: len(record.steps)]
+        return self._judged(kept != record.outcome, False, what)
+
+    def _judged(self, differ: np.ndarray, exact: bool, what: str) -> str:
+        """What was found where `differ` (n,) marks the episodes that ended otherwise; raises Disagreement."""
+        count, bad = len(differ), np.flatnonzero(differ)
+        if not len(bad):
+            return f"{count} {what} end as they did" + (", with the same bits" if exact else "")
+        listed = ", ".join(map(str, bad[:8])) + (", ..." if len(bad) > 8 else "")
+        said = f"{len(bad)} of the first {count} {what} end otherwise ({listed}); {self.tolerance:.0%} of them may"
+        if len(bad) > self.tolerance * count:
+            raise Disagreement(said)
+        return said
+
+
+def _result(run: Run) -> dict:
+    return json.loads((run.folder / "result.json").read_text())

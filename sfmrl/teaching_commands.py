@@ -1,0 +1,121 @@
+"""The commands that look closer: `sfmrl explain`, `sfmrl verify`, `sfmrl doctor`."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sfmrl import completion
+from sfmrl.console import err, new_file, out, say, say_finding, say_result
+from sfmrl.files import csv_text
+from sfmrl.options import Device, Environment, MapFile, Overwrite, PolicyName, Threads, option, settings_options
+from sfmrl.session import choose, drawn, use_threads
+
+app = typer.Typer()
+
+
+@app.command(epilog="Example: sfmrl explain orca --environment 2 --reward sfm --episode 3 --csv steps.csv")
+@settings_options("simulation", "reward", "planner")
+def explain(
+    policy: PolicyName = None,
+    environment: Environment = None,
+    map_file: MapFile = None,
+    episode: Annotated[int, option("number of the test episode (default 0)", min=0)] = 0,
+    seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
+    every: Annotated[
+        int | None, option("show every so manyth step, and those with events (default a dozen)", min=1)
+    ] = None,
+    steps: Annotated[str | None, option("show these steps, e.g. 10:20 (default the whole episode)")] = None,
+    as_json: Annotated[bool, option("print JSON: all steps, all numbers", "--json")] = False,
+    csv: Annotated[Path | None, option("write a line a step, all numbers, to this file")] = None,
+    overwrite: Overwrite = False,
+    threads: Threads = None,
+    device: Device = "cpu",
+    *,
+    settings: dict[str, Any],
+) -> None:
+    """Take an episode apart: each step's reward by term, and what the paper's rewards would have paid."""
+    from sfmrl.episodes import play_episodes
+    from sfmrl.explanation import chosen_steps, explain_episode
+    from sfmrl.explanation_tables import print_explanation
+    from sfmrl.scenarios import sample_scenes
+
+    new_file(csv, "csv", overwrite)
+    environment = drawn(map_file, environment)
+    chosen, name, config = choose(policy, settings, threads, device)
+    environment = config.reinforcement.test_environment if environment is None else environment
+    scene = sample_scenes(environment, [episode], seed)
+    record = play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount)
+    explained = explain_episode(record, 0, chosen, config.reward, config.discount)
+    shown = chosen_steps(explained.steps, every, steps)
+    if csv:
+        csv.write_text(csv_text(explained.steps))
+    if as_json:
+        what = {"policy": name, "environment": str(scene.environment[0]), "episode": episode, "seed": seed}
+        what |= {"outcome": str(record.outcome[0]), "time": float(record.time[0]), "discount": config.discount}
+        totals = {"plain": explained.own.plain, "discounted": explained.own.discounted}
+        accounts = [
+            {"reward": one.name, "terms": one.discounted, "return": one.discounted_return} for one in explained.accounts
+        ]
+        what |= {"reward": asdict(config.reward), "totals": totals, "return": explained.own.discounted_return}
+        say_result(json.dumps(what | {"rewards": accounts, "steps": explained.steps}, indent=2, allow_nan=False))
+    else:
+        print_explanation(explained, shown, name)
+
+
+@app.command(epilog="Example: sfmrl verify runs/rl-sarl-sfm2-seed0 --episodes 500")
+def verify(
+    run: Annotated[Path, typer.Argument(help="the run folder", show_default=False, autocompletion=completion.runs)],
+    episodes: Annotated[
+        int, option("test episodes, or demonstrations, to play again at most (default 100)", min=1)
+    ] = 100,
+    tolerance: Annotated[
+        float | None,
+        option("share of them that may end otherwise (default 0, or 0.05 if versions or processor differ)"),
+    ] = None,
+    threads: Threads = None,
+) -> None:
+    """Check a run that was handed in: files against SHA256SUMS, tables against each other, weights by playing again.
+
+    Exit code 0 if all that could be checked agrees, else 1. Digests and tables can be forged by whoever computes them
+    anew; that weights do what the tables say cannot, but not who trained them, or how.
+    """
+    from sfmrl.progress import show_progress
+    from sfmrl.verification import verify as findings_of
+
+    found = []
+    for finding in findings_of(run, episodes, tolerance, use_threads(threads), show_progress(err)):
+        say_finding(finding.what, finding.agrees, finding.said)
+        found.append(finding)
+    wrong = [finding.what for finding in found if finding.agrees is False]
+    unknown = [finding.what for finding in found if finding.agrees is None]
+    checked = len(found) - len(unknown)
+    aside = f"; not judged: {', '.join(unknown)}" if unknown else ""
+    if wrong:
+        say_result(f"{run}: {len(wrong)} of {checked} DO NOT AGREE: {', '.join(wrong)}{aside}")
+        raise typer.Exit(1)
+    say_result(f"{run}: all {checked} agree{aside}")
+
+
+@app.command(epilog="Example: sfmrl doctor --no-test")
+def doctor(
+    test: Annotated[bool, option("test what sfmrl computes, some ten seconds (default on)", "--test/--no-test")] = True,
+) -> None:
+    """Look whether sfmrl works here: versions, processor, terminal, runs, and a self-test. Nothing is written.
+
+    Exit code 0 if all is well, else 1.
+    """
+    from sfmrl.doctor import examine, self_test
+
+    ill = []
+    for checks in (examine(out), *([self_test()] if test else [])):
+        for check in checks:
+            remedy = f"; {check.remedy}" if check.remedy and not check.good else ""
+            say_finding(check.what, check.good, check.said + remedy)
+            ill += [check.what] if check.good is False else []
+    if ill:
+        say(f"not ok: {', '.join(ill)}; what helps stands beside it")
+        raise typer.Exit(1)
+    say("all is well")

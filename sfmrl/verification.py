@@ -1,0 +1,171 @@
+"""Is a run folder what a training of sfmrl leaves: its files, its tables, and its weights, played again.
+
+Whoever computes digests and tables anew can deceive the first two, but not the last.
+"""
+
+import hashlib
+import shlex
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from sfmrl import run_tables
+from sfmrl.config import ConfigError
+from sfmrl.files import SUMS, DamagedFile, read_sums
+from sfmrl.folders import WEIGHTS
+from sfmrl.imitation import DEMONSTRATIONS
+from sfmrl.network import resolved
+from sfmrl.progress import Progress
+from sfmrl.reinforcement import BEST
+from sfmrl.rewards import reward_digest
+from sfmrl.run_replay import Replay
+from sfmrl.run_tables import Disagreement
+from sfmrl.runs import Run, open_run, versions
+from sfmrl.weights import load_weights
+
+ELSEWHERE = 0.05  # share of episodes that may end otherwise under other versions, or on another processor
+DECIDING = ("sfmrl", "numpy", "torch", "processor")  # of `versions`, what the bits depend on
+ODD = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError)  # what odd content leads its readers to
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at: whether it agrees (None: it was not, or could not be, told), and what was found."""
+
+    what: str
+    agrees: bool | None
+    said: str
+
+
+def verify(folder: Path, episodes: int, tolerance: float | None, threads: int, progress: Progress) -> Iterator[Finding]:
+    """Findings on a run folder, one after another; of test episodes, or demonstrations, `episodes` are replayed.
+
+    `tolerance` is the share of them that may end otherwise: by default none, or `ELSEWHERE` where versions or processor
+    are not those of the run. Raises ConfigError where there is no run folder.
+    """
+    if tolerance is not None and not 0 <= tolerance <= 1:
+        raise ConfigError(f"--tolerance is {tolerance:g}; it takes a share, from 0 to 1")
+    if not (folder / "run.json").exists() and not (folder / SUMS).exists():
+        open_run(folder)  # which says so
+    yield _finding(SUMS, _sums, folder)
+    try:
+        run = open_run(folder)
+    except (ConfigError, DamagedFile, *ODD, OSError) as error:
+        yield Finding("run.json", False, f"nothing more can be told of this run: {error}")
+        return
+    yield _finding("training", _finished, run)
+    yield _finding(WEIGHTS, _weights, run)
+    if run.config.reward.reward.count(":"):
+        yield _finding("reward", _own_reward, run)
+    here = _finding("versions", _versions, run)
+    yield here
+    allowed = (ELSEWHERE if here.agrees is None else 0.0) if tolerance is None else tolerance
+    replay = Replay(episodes, allowed, threads, progress)
+    yield from (_imitation if run.kind == "il" else _reinforcement)(run, replay)
+
+
+def _versions(run: Run) -> str | Finding:
+    """In what this place differs from where a run was made, as far as the numbers' last bits depend on it."""
+    made, here = run.facts["versions"], versions()
+    found = [f"{name} {made.get(name)}, here {here[name]}" for name in DECIDING if made.get(name) != here[name]]
+    if run.config.precision == "bf16" and resolved("auto") != "bf16":
+        found.append("trained in bfloat16, which this processor does not have")
+    device = dict(pairwise(shlex.split(run.facts["command"]))).get("--device", "cpu")
+    if device != "cpu":
+        found.append(f"trained on {device}, here on the CPU")
+    if found:
+        return Finding("versions", None, f"{'; '.join(found)}: numbers may differ here")
+    return "those of the run, so its numbers must be the same here"
+
+
+def _finding(what: str, check: Callable[..., str | Finding], *given: Any) -> Finding:
+    """What a check says; that it does not agree where it raises, whatever a changed file has led it to."""
+    try:
+        said = check(*given)
+        return said if isinstance(said, Finding) else Finding(what, True, said)
+    except FileNotFoundError as error:
+        return Finding(what, False, f"there is no {Path(error.filename or what).name}")
+    except (Disagreement, ConfigError, DamagedFile, OSError) as error:
+        return Finding(what, False, str(error))
+    except ODD as error:
+        return Finding(what, False, f"not as sfmrl writes it: {type(error).__name__}: {error}")
+
+
+def _sums(folder: Path) -> str:
+    """Every listed file is what was written, and those that must be listed are."""
+    sums, bad = read_sums(folder), []
+    for name, digest in sums.items():
+        path = folder / name
+        if Path(name).name != name or not path.is_file():
+            bad.append(f"{name} is listed, but not here")
+        elif hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+            bad.append(f"{name} is not what was written")
+    must = ("config.json", "run.json", WEIGHTS, BEST, DEMONSTRATIONS)
+    bad += [f"{name} is not listed" for name in must if (folder / name).exists() and name not in sums]
+    if bad:
+        raise Disagreement("; ".join(bad))
+    return f"all {len(sums)} files are what was written"
+
+
+def _finished(run: Run) -> str:
+    if not run.finished:
+        raise Disagreement(f"has not ended; go on with sfmrl {run.kind} --resume {shlex.quote(str(run.folder))}")
+    return f"sfmrl {run.kind}, variant {run.facts['variant']}, begun {run.facts['created'][:16]}, has ended"
+
+
+def _weights(run: Run) -> str:
+    network, config = load_weights(run.folder / WEIGHTS)
+    if config != run.config:
+        raise Disagreement("the config in it is not config.json")
+    if not bool(network.flat.isfinite().all()):
+        raise Disagreement("it holds numbers that are not finite")
+    return f"{len(network.flat):,} parameters, all finite, trained under config.json"
+
+
+def _own_reward(run: Run) -> str:
+    name = run.config.reward.reward
+    place = name.rpartition(":")[0]
+    if place.endswith(".py") and not Path(place).is_file():
+        raise Disagreement(f"without {place} it cannot be played; ask for that file, and put it there")
+    if run.facts["own_reward"] != reward_digest(run.config.reward):
+        raise Disagreement(f"{name} is not the file that the run was trained with; put that one there")
+    return f"{name} is what the run was trained with"
+
+
+def _imitation(run: Run, replay: Replay) -> Iterator[Finding]:
+    yield _finding("metrics.csv", run_tables.epochs, run.folder, run.config)
+    yield _finding("demonstrations", replay.demonstrations, run)
+
+
+def _reinforcement(run: Run, replay: Replay) -> Iterator[Finding]:
+    folder, config, settings = run.folder, run.config, run.config.reinforcement
+    yield _finding("imitation", _began, run)
+    yield _finding("metrics.csv", run_tables.training, folder, config)
+    yield _finding("validation.csv", run_tables.validations, folder, config)
+    for name in ("test.csv", "test-best.csv"):
+        if (folder / name).exists():
+            yield _finding(name, run_tables.tests, folder, config, name)
+    yield _finding("result.json", run_tables.result, folder, config)
+    yield _finding("replay", replay.tests, run)
+    if (folder / "test-best.csv").exists():
+        yield _finding("best replay", replay.tests, run, BEST, "test-best.csv")
+    if config.planner.recover:
+        if replay.episodes >= settings.test_episodes:
+            yield _finding("recovery", replay.with_recovery, run)
+        else:
+            whole = settings.test_episodes
+            yield Finding("recovery", None, f"its test was not played again; --episodes {whole} does that, too")
+
+
+def _began(run: Run) -> str | Finding:
+    """With which demonstrations a reinforcement began."""
+    source = run.imitation
+    if source is None:
+        return "none: trained from scratch"
+    if not (source / SUMS).exists():
+        return Finding("imitation", None, f"{source.name}, from which this run went on, is not beside it")
+    if read_sums(source).get(DEMONSTRATIONS) != run.facts["demonstrations"]:
+        raise Disagreement(f"it went on from other demonstrations than {source.name} holds")
+    return f"it went on from the demonstrations of {source.name}"

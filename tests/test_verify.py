@@ -1,0 +1,249 @@
+"""A run that was handed in: what sfmrl left is found to agree, and whatever is changed in it is found out."""
+
+import csv
+import hashlib
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+from sfmrl.config import Config, ConfigError
+from sfmrl.evaluation import RATES
+from sfmrl.files import csv_text
+from sfmrl.imitation import imitate
+from sfmrl.network import ValueNetwork
+from sfmrl.progress import no_progress
+from sfmrl.reinforcement import reinforce, start_run
+from sfmrl.run_replay import Replay
+from sfmrl.run_tables import Disagreement, _figures
+from sfmrl.runs import create_run
+from sfmrl.stopping import StopSignal
+from sfmrl.variants import make_config
+from sfmrl.verification import Finding, verify
+from sfmrl.weights import load_weights, save_weights
+
+
+@pytest.fixture(scope="module")
+def handed_in(tmp_path_factory) -> Path:
+    """A folder with an imitation run, "il", and a reinforcement that went on from it, "rl"; not to be changed."""
+    folder = tmp_path_factory.mktemp("handed")
+    config = make_config(
+        simulation={"time_limit": 12.0},
+        imitation={"episodes": 6, "epochs": 2, "environment": "circle5"},
+        reinforcement={"episodes": 8, "parallel": 4, "batches": 1, "validation_interval": 4, "test_best": True}
+        | {"validation_episodes": 2, "test_episodes": 6},
+    )
+    il = create_run("il", config, folder / "il")
+    imitate(il, no_progress, StopSignal())
+    rl = start_run(config, folder / "il", False, folder / "rl")
+    reinforce(rl, no_progress, StopSignal(), lambda text: None)
+    return folder
+
+
+@pytest.fixture
+def copy(handed_in: Path, tmp_path: Path) -> Path:
+    """The same, to be changed."""
+    return Path(shutil.copytree(handed_in, tmp_path / "copy"))
+
+
+def findings(folder: Path, episodes: int = 6, tolerance: float | None = None) -> dict[str, Finding]:
+    return {found.what: found for found in verify(folder, episodes, tolerance, 1, no_progress)}
+
+
+def wrong(folder: Path, **how) -> set[str]:
+    return {name for name, finding in findings(folder, **how).items() if finding.agrees is False}
+
+
+def rewrite(path: Path, change: Callable[[str], str]) -> None:
+    text = path.read_text()
+    changed = change(text)
+    assert changed != text
+    path.write_text(changed)
+
+
+def forge_sums(folder: Path) -> None:
+    """Digests anew of all that was listed, as a forger would."""
+    names = [line.split("  ")[1] for line in (folder / "SHA256SUMS").read_text().splitlines()]
+    lines = [f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in names]
+    (folder / "SHA256SUMS").write_text("".join(lines))
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_what_sfmrl_left_agrees(handed_in):
+    found = findings(handed_in / "rl")
+    assert {name for name, finding in found.items() if not finding.agrees} == set()
+    assert {"replay", "best replay", "recovery", "test.csv", "test-best.csv", "imitation"} <= set(found)
+    assert "with the same bits" in found["replay"].said
+    assert wrong(handed_in / "il") == set()
+    assert "with the same bits" in findings(handed_in / "il")["demonstrations"].said
+
+
+def test_fewer_episodes_leave_the_recovery_s_test_untold(handed_in):
+    found = findings(handed_in / "rl", episodes=3)
+    assert found["replay"].said.startswith("3 of 6 test episodes")
+    assert found["recovery"].agrees is None
+    assert "--episodes 6" in found["recovery"].said
+
+
+def flip(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+TAMPERED = {
+    "a bit of the weights": (lambda run: flip(run / "weights.pt"), {"SHA256SUMS", "weights.pt", "replay", "recovery"}),
+    "a bit of the config": (lambda run: flip(run / "config.json"), {"SHA256SUMS", "run.json"}),
+    "no weights": (lambda run: (run / "weights.pt").unlink(), {"SHA256SUMS", "training", "weights.pt", "replay"}),
+    "no tests": (lambda run: (run / "test.csv").write_text(""), {"test.csv", "result.json", "replay"}),
+    "an episode less": (
+        lambda run: rewrite(run / "metrics.csv", lambda text: text.rpartition("\n7,")[0] + "\n"),
+        {"metrics.csv"},
+    ),
+    "other environments": (
+        lambda run: rewrite(run / "metrics.csv", lambda text: re.sub(r"^(\d+),.,", r"\1,5,", text, flags=re.MULTILINE)),
+        {"metrics.csv"},
+    ),
+    "a validation": (
+        lambda run: rewrite(run / "validation.csv", lambda text: re.sub(r"^8,[^,]*", "8,0.99", text, flags=re.M)),
+        {"validation.csv"},
+    ),
+    "a reward": (
+        lambda run: rewrite(run / "result.json", lambda text: re.sub('("total_reward": )', r"\g<1>1", text, count=1)),
+        {"result.json"},
+    ),
+    "no JSON": (lambda run: (run / "result.json").write_text("{"), {"result.json", "recovery"}),
+    "not an object": (lambda run: (run / "result.json").write_text("[]"), {"result.json", "recovery"}),
+}
+
+
+@pytest.mark.parametrize("what", TAMPERED)
+def test_what_was_changed_is_found_out(copy, what):
+    tamper, names = TAMPERED[what]
+    tamper(copy / "rl")
+    assert names <= wrong(copy / "rl")
+
+
+def test_tables_and_digests_forged_together_are_found_out_by_playing_again(copy):
+    """One more success (or one less) in test.csv, with everything that follows from it: only the replay can tell."""
+    run = copy / "rl"
+    rows = rows_of(run / "test.csv")
+    kept = json.loads((run / "result.json").read_text())
+    ends = [row["outcome"] for row in rows]
+    k = next((k for k, end in enumerate(ends) if end != "success"), 0)
+    row = rows[k]
+    if row["outcome"] == "success":
+        row |= {"outcome": "collision", "smallest_separation": "-0.01", "hit": "human"}
+    else:
+        row |= {"outcome": "success", "smallest_separation": "0.3", "hit": ""}
+    (run / "test.csv").write_text(csv_text(rows))
+    (run / "result.json").write_text(json.dumps(kept | _figures(rows_of(run / "test.csv"))))
+    forge_sums(run)
+    found = findings(run)
+    assert {name for name, finding in found.items() if finding.agrees is False} == {"replay"}
+    assert f"({k})" in found["replay"].said
+    assert wrong(run, tolerance=0.2) == set()
+
+
+def test_other_weights_than_those_of_the_test_are_found_out_by_playing_again(copy):
+    run = copy / "rl"
+    _, config = load_weights(run / "weights.pt")
+    save_weights(ValueNetwork(value_prior=True, seed=9, precision=config.precision), config, run / "weights.pt")
+    assert "replay" in wrong(run)
+    save_weights(ValueNetwork(value_prior=True), Config(), run / "weights.pt")
+    assert "weights.pt" in wrong(run)
+
+
+def test_demonstrations_that_orca_did_not_give_are_found_out(copy):
+    run = copy / "il"
+    rewrite(run / "config.json", lambda text: text.replace('"seed": 0', '"seed": 1'))
+    forge_sums(run)
+    assert wrong(run) == {"weights.pt", "demonstrations"}
+
+
+def test_other_versions_are_named_and_allowed_for(copy):
+    run = copy / "rl"
+    rewrite(run / "run.json", lambda text: text.replace(f'"torch": "{torch.__version__}"', '"torch": "1.0"'))
+    forge_sums(run)
+    found = findings(run)
+    assert {name for name, finding in found.items() if finding.agrees is False} == set()
+    assert found["versions"].agrees is None
+    assert f"torch 1.0, here {torch.__version__}" in found["versions"].said
+
+
+@pytest.mark.parametrize(
+    ("bad", "tolerance", "right"), [(0, 0, True), (1, 0, False), (2, 0.05, True), (3, 0.05, False)]
+)
+def test_the_tolerance_is_a_share_of_the_episodes(bad, tolerance, right):
+    differ = torch.arange(40).numpy() < bad
+    replay = Replay(40, tolerance, 1, no_progress)
+    if right:
+        assert "40" in replay._judged(differ, False, "episodes")
+    else:
+        with pytest.raises(Disagreement, match=f"{bad} of the first 40"):
+            replay._judged(differ, False, "episodes")
+
+
+def test_a_run_from_before_test_csv_is_held_to_its_failures(copy):
+    run = copy / "rl"
+    for name in ("test.csv", "test-best.csv"):
+        (run / name).unlink()
+    assert wrong(run) == set()
+    kept = json.loads((run / "result.json").read_text())
+    succeeded = min(set(range(6)) - {failure["episode"] for failure in kept["failures"]})
+    kept["failures"].append({"episode": succeeded, "environment": "1", "outcome": "collision"})
+    (run / "result.json").write_text(json.dumps(kept))
+    assert wrong(run) == {"result.json", "replay"}
+
+
+@pytest.mark.parametrize("name", ["SHA256SUMS", "run.json", "config.json", "metrics.csv", "validation.csv", "test.csv"])
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"null"], ids=repr)
+def test_no_file_s_content_is_too_odd_to_be_told(copy, name, content):
+    run = copy / "rl"
+    (run / name).write_bytes(content)
+    assert wrong(run, episodes=1)
+    if name in ("run.json", "config.json"):
+        forge_sums(run)
+        assert wrong(run, episodes=1)
+
+
+def test_a_sum_s_name_leads_nowhere_else(copy):
+    run = copy / "rl"
+    digest = hashlib.sha256((copy / "il" / "run.json").read_bytes()).hexdigest()
+    with open(run / "SHA256SUMS", "a") as file:
+        file.write(f"{digest}  ../il/run.json\n")
+    assert "SHA256SUMS" in wrong(run)
+
+
+def test_a_folder_that_is_no_run_and_a_tolerance_that_is_no_share_are_errors(tmp_path, handed_in):
+    with pytest.raises(ConfigError, match="does not exist"):
+        list(verify(tmp_path / "none", 1, None, 1, no_progress))
+    with pytest.raises(ConfigError, match="not a run folder"):
+        list(verify(tmp_path, 1, None, 1, no_progress))
+    for share in (float("nan"), -1, 5):
+        with pytest.raises(ConfigError, match="--tolerance"):
+            list(verify(handed_in / "rl", 1, share, 1, no_progress))
+
+
+def test_the_command_says_what_agrees_and_exits_with_1_when_something_does_not(sfmrl, copy):
+    done = sfmrl("verify", copy / "rl", "--episodes", 6)
+    assert done.returncode == 0, done.stdout
+    lines = done.stdout.splitlines()
+    assert all(line.startswith("ok ") for line in lines[:-1])
+    assert lines[-1].endswith(f"all {len(lines) - 1} agree")
+    rates = json.loads((copy / "rl" / "result.json").read_text())
+    assert all(f"{name} {rates[name]:.3f}" in done.stdout for name in RATES)
+
+    (copy / "rl" / "metrics.csv").unlink()
+    done = sfmrl("verify", copy / "rl", "--episodes", 1)
+    assert done.returncode == 1
+    assert "not ok metrics.csv     there is no metrics.csv" in done.stdout
+    assert "1 of" in done.stdout.splitlines()[-1]
