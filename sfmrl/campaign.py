@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 
+from sfmrl.folders import finished
 from sfmrl.progress import Progress
 from sfmrl.stopping import Interrupted, StopSignal
-from sfmrl.tables import Job, finished
+from sfmrl.tables import Job
 
 LOOK_EVERY = 0.5  # seconds
 

@@ -15,9 +15,10 @@ from pathlib import Path
 
 from sfmrl.campaign import report, without_blocked
 from sfmrl.config import ConfigError
+from sfmrl.folders import finished
 from sfmrl.progress import Progress
 from sfmrl.stopping import Interrupted, StopSignal
-from sfmrl.tables import Job, finished
+from sfmrl.tables import Job
 
 
 def run_on_ray(jobs: list[Job], progress: Progress, stop: StopSignal, say: Callable) -> None:

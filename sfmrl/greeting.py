@@ -46,7 +46,7 @@ def _next_steps(folders: list[Path]) -> tuple[str, list[Line]]:
         lines.append((f"sfmrl rl --reward sfm{_flags(imitated)}", "reinforce what it has learnt"))
         lines.append((f"sfmrl ascii-render {_quoted(imitated)}", "watch it"))
         return where, lines
-    lines.append(("sfmrl ascii-render orca", "watch ORCA, the teacher, now"))
+    lines.append(("sfmrl ascii-render sarl-sfm6", "watch a trained robot now"))
     lines.append(("sfmrl doctor", "does all work here?"))
     return where, lines
 

@@ -55,7 +55,7 @@ Variant = Annotated[
 PolicyName = Annotated[
     str | None,
     typer.Argument(
-        help="linear, orca, sfm, a run folder or a weights file (default the newest run)",
+        help="linear, orca, sfm, a model (sfmrl models), a run folder, a weights file (default the newest run)",
         autocompletion=completion.policies,
     ),
 ]

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from sfmrl.config import ConfigError
-from sfmrl.tables import finished, run_folder
+from sfmrl.folders import finished
+from sfmrl.tables import run_folder
 
 EARLY = 0.25  # the first part of a training that its early course is taken from
 REACHED = 0.9  # validation success

@@ -199,7 +199,7 @@ def newest_run() -> Path:
     for folder in run_folders():
         if (folder / WEIGHTS).exists():
             return folder
-    raise ConfigError("there is no finished run under runs/ yet: type sfmrl il, or name a policy (linear, orca, sfm)")
+    raise ConfigError("there is no finished run under runs/ yet: type sfmrl il, or name a policy, as sarl-sfm6 or orca")
 
 
 @contextmanager

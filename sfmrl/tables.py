@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sfmrl.config import ConfigError, suggest
+from sfmrl.folders import finished
 
 
 @dataclass(frozen=True)
@@ -77,11 +78,6 @@ class Job:
     def finished(self) -> bool:
         """Whether nothing is left to do."""
         return finished(self.folder)
-
-
-def finished(folder: Path) -> bool:
-    """Whether a run folder's training has come to its end."""
-    return (folder / "weights.pt").exists()
 
 
 def make_jobs(number: int, preset: str, seeds: list[int], rows: list[str], folder: Path) -> list[Job]:

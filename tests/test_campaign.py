@@ -14,9 +14,9 @@ from conftest import environment
 
 from sfmrl.campaign import Failed, run_jobs
 from sfmrl.cluster import pack, unpack
-from sfmrl.policies import WEIGHTS
+from sfmrl.folders import WEIGHTS, finished
 from sfmrl.stopping import Interrupted, StopSignal
-from sfmrl.tables import Job, finished
+from sfmrl.tables import Job
 
 TINY_IL = ("--episodes", "12", "--epochs", "1", "--threads", "1")
 TINY_RL = ("--episodes", "16", "--validation-episodes", "4", "--test-episodes", "4", "--no-recover", "--threads", "1")

@@ -346,12 +346,12 @@ def lay_runs(folder: Path, *runs: tuple[str, str, bool]) -> None:
 
 
 STANDS = {
-    "no runs": ((), ["sfmrl il && sfmrl rl --reward sfm", "sfmrl ascii-render orca"]),
+    "no runs": ((), ["sfmrl il && sfmrl rl --reward sfm", "sfmrl ascii-render sarl-sfm6"]),
     "imitation alone": ([("a", "il", True)], ["sfmrl rl --reward sfm  ", "sfmrl ascii-render runs/a"]),
     "of another preset": ([("paper", "il", True)], ["sfmrl rl --reward sfm --preset paper --seed 3"]),
     "trained": ([("a", "il", True), ("b", "rl", True)], ["sfmrl eval runs/b", "sfmrl ascii-render runs/b"]),
     "stopped": ([("a", "il", True), ("b c", "rl", False)], ["sfmrl rl --resume 'runs/b c'", "sfmrl rl --reward"]),
-    "stopped at once": ([("a", "il", False)], ["sfmrl il --resume runs/a", "sfmrl ascii-render orca"]),
+    "stopped at once": ([("a", "il", False)], ["sfmrl il --resume runs/a", "sfmrl ascii-render sarl-sfm6"]),
     "stopped before": ([("a", "rl", False), ("b", "rl", True)], ["runs/b is trained", "sfmrl eval runs/b"]),
 }
 
