@@ -86,11 +86,11 @@ def comparison_sheets(found: dict[str, Any], title: str) -> list[Sheet]:
     for row in others:
         gap = row["less_first"]
         success, time = gap["success"], gap["navigation_time"]
-        slower = "-" if time is None else f"{time['mean']:.2f} {time['low']:.2f} to {time['high']:.2f}"
+        slower = "-" if time is None else f"{time['mean']:.2f} ({time['low']:.2f} to {time['high']:.2f})"
         gaps.append(
             (
                 row["policy"],
-                f"{rate(success['mean'])} {rate(success['low'])} to {rate(success['high'])}",
+                f"{rate(success['mean'])} ({rate(success['low'])} to {rate(success['high'])})",
                 p_value(success["p_holm"]),
                 str(gap["only_this"]),
                 str(gap["only_first"]),

@@ -143,7 +143,7 @@ CONTRASTED = (
 
 def _contrast(title: str, metric: str, form: Any, names: tuple[str, ...], contrasts: list[dict]) -> tuple[str, ...]:
     of = {c["of"]: c for c in contrasts if c["in"] == metric}
-    return title, *(f"{form(of[n]['mean'])} {_between(of[n]['low'], of[n]['high'], form)}" for n in names)
+    return title, *(f"{form(of[n]['mean'])} ({_between(of[n]['low'], of[n]['high'], form)})" for n in names)
 
 
 def csv_rows(found: list[dict[str, Any]], contrasts: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Make the networks that come with sfmrl from a table's run folders: `python tests/make_models.py runs/tables`.
+"""Make the networks that come with sfmrl from the tables' run folders: `python tests/make_models.py runs/tables 0-9`.
 
 For each row of both tables, quick preset, the seed whose validations in the second half of its training were the best
 on the mean (of several, the lowest) is taken: the test episodes have no say in it. Its weights and card go to
@@ -17,10 +17,10 @@ from sfmrl.models import FOLDER
 from sfmrl.policies import WEIGHTS, load_policy
 from sfmrl.results import Trained, read_row
 from sfmrl.runs import open_run
-from sfmrl.tables import TABLES, make_jobs, run_folder
+from sfmrl.tables import TABLES, make_jobs, parse_seeds, run_folder
 from sfmrl.weights import load_weights, save_weights
 
-PRESET, SEEDS = "quick", list(range(10))
+PRESET = "quick"
 CHECKED = 100  # test episodes whose outcomes a card lists, for the tests
 CHOICE = "best mean validation success in the second half of the training, of seeds"
 
@@ -71,12 +71,12 @@ def make_model(name: str, number: int, row: str, tested: Trained, folder: Path) 
 
 
 if __name__ == "__main__":
-    place = Path(sys.argv[1])
+    place, seeds = Path(sys.argv[1]), parse_seeds(sys.argv[2])
     shutil.rmtree(FOLDER, ignore_errors=True)
     FOLDER.mkdir()
     for number, table in TABLES.items():
         for row in table.paper:
-            tested = read_row(place, number, PRESET, row, SEEDS)
+            tested = read_row(place, number, PRESET, row, seeds)
             if tested is None:
                 print(f"no finished run of row {row} of table {number}")
                 continue
