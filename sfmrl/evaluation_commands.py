@@ -142,14 +142,15 @@ def models(
 ) -> None:
     """List the trained networks that come with sfmrl, one for each row of the paper's tables."""
     from sfmrl.models import model_card, model_names
-    from sfmrl.reports import model_sheets
+    from sfmrl.reports import card_lines, model_sheet
 
     names = model_names()
     if name is not None and name not in names:
         raise ConfigError(f"there is no model {name}; there are {', '.join(names)}{suggest(name, names)}")
-    cards = {each: model_card(each) for each in ([name] if name else names)}
+    cards = {each: model_card(each) for each in names}
     if as_json:
         say_result(json.dumps(cards[name] if name else cards, indent=2))
-        return
-    for sheet in model_sheets(cards):
-        print_sheet(sheet)
+    elif name:
+        say_result("\n".join(card_lines(cards[name])))
+    else:
+        print_sheet(model_sheet(cards))

@@ -35,6 +35,7 @@ def figures(tested: Trained) -> dict[str, np.ndarray]:
         "total_reward": tested.total_reward.mean(axis=1),
         "best_success": tested.best,
         "best_episode": tested.best_episode.astype(float),
+        "start_success": tested.validation[:, 0],
         "early_success": tested.early,
         "early_training_success": tested.early_training,
         "drops": tested.drops,
@@ -131,7 +132,15 @@ CONTRASTS = {
     "forces in the state": (("sarl-sfm5", "sarl"), ("sarl-sfm6", "sarl-sfm2")),
     "SFM reward": (("sarl-sfm2", "sarl"), ("sarl-sfm6", "sarl-sfm5")),
 }
-CONTRASTED = ("success", "early_success", "early_training_success", "drops", "reached_episodes", "navigation_time")
+CONTRASTED = (
+    "success",
+    "start_success",
+    "early_success",
+    "early_training_success",
+    "drops",
+    "reached_episodes",
+    "navigation_time",
+)
 
 
 def contrasts(rows: dict[str, Trained]) -> list[dict[str, Any]]:

@@ -134,6 +134,7 @@ def _difference(row: dict[str, Any]) -> tuple[str, ...]:
 
 CONTRASTED = (
     ("success", "success", rate),
+    ("validation success after imitation", "start_success", rate),
     ("validation success, first quarter", "early_success", rate),
     ("training success, first quarter", "early_training_success", rate),
     ("drop from one validation to the next", "drops", rate),
@@ -173,26 +174,28 @@ def csv_rows(found: list[dict[str, Any]], contrasts: list[dict[str, Any]]) -> li
     return lines
 
 
-def model_sheets(cards: dict[str, dict[str, Any]]) -> list[Sheet]:
-    """Model cards in a list; one alone in full."""
-    if len(cards) == 1:
-        (card,) = cards.values()
-        lines = [(name, value if isinstance(value, str) else _plain_text(value)) for name, value in card.items()]
-        return [Sheet(f"Model {card['name']}", ("", ""), lines)]
+def model_sheet(cards: dict[str, dict[str, Any]]) -> Sheet:
+    """Model cards in a list."""
     heads = ("model", "preset", "seed", "tested on", "success alone", "with recovery", "nav.\ntime")
     rows = []
     for name, card in cards.items():
-        alone, helped = card["alone"], card["with_recovery"]
-        rates = (f"{rate(t['success'])} {'-'.join(map(rate, t['interval']))}" for t in (alone, helped))
-        time = f"{helped['navigation_time']:.2f}"
+        tests = card["alone"], card["with_recovery"]
+        rates = (f"{rate(t['success'])} {'-'.join(map(rate, t['interval']))}" for t in tests)
+        time = f"{tests[1]['navigation_time']:.2f}"
         rows.append((name, card["preset"], str(card["seed"]), card["environment"], *rates, time))
-    return [Sheet("Models that come with sfmrl; 95 % Wilson intervals", heads, rows)]
+    return Sheet("Models that come with sfmrl; 95 % Wilson intervals", heads, rows)
 
 
-def _plain_text(value: Any) -> str:
-    """A card's value in a line or several."""
-    if isinstance(value, dict):
-        return "\n".join(f"{name} {_plain_text(inner)}" for name, inner in value.items())
-    if isinstance(value, list):
-        return ("\n" if any(isinstance(item, str) for item in value) else " to ").join(map(_plain_text, value))
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+def card_lines(card: dict[str, Any], indent: str = "") -> list[str]:
+    """A model card in lines of text."""
+    lines = []
+    for name, value in card.items():
+        if isinstance(value, dict):
+            lines += [f"{indent}{name}", *card_lines(value, indent + "  ")]
+        elif isinstance(value, list) and isinstance(value[0], str):
+            lines += [f"{indent}{name}", *(f"{indent}  {item}" for item in value)]
+        elif isinstance(value, list):
+            lines.append(f"{indent}{name} {' to '.join(f'{item:.4f}' for item in value)}")
+        else:
+            lines.append(f"{indent}{name} {f'{value:.4f}' if isinstance(value, float) else value}")
+    return lines

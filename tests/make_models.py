@@ -57,7 +57,7 @@ def make_model(name: str, number: int, row: str, tested: Trained, folder: Path) 
         "chosen": f"{CHOICE} {', '.join(map(str, tested.seeds))}",
         "commands": [job.command for job in make_jobs(number, PRESET, [seed], [row], Path("runs/tables"))],
         "trained": run.facts["created"][:10],
-        "versions": run.facts["versions"],
+        "versions": {key: value for key, value in run.facts["versions"].items() if key != "system"},
         "precision": config.precision,
         "parameters": sum(p.numel() for p in network.parameters()),
         "sha256": digest,
