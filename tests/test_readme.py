@@ -6,6 +6,7 @@ import shlex
 from conftest import ROOT
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+COMMANDS = "il|rl|eval|compare|ascii-render|explain|models|table|figure|verify|doctor"
 BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL)
 
 
@@ -27,11 +28,10 @@ def test_the_own_reward_runs_under_the_command_that_is_shown(sfmrl, tmp_path):
 
 
 def test_every_command_and_flag_it_names_exists(sfmrl):
-    helps: dict[str, str] = {}
-    for line in re.findall(r"sfmrl (?:il|rl|eval|ascii-render)[^`\n#|&]*", README):
+    helps = {command: sfmrl(command, "--help").stdout for command in COMMANDS.split("|")}
+    named = re.findall(rf"sfmrl (?:{COMMANDS})[^`\n#|&]*", README)
+    for line in named:
         words = shlex.split(line.replace("...", ""), posix=True)
-        command = words[1]
-        helps.setdefault(command, sfmrl(command, "--help").stdout)
         for flag in (word for word in words if word.startswith("--")):
-            assert flag in helps[command], line
-    assert set(helps) == {"il", "rl", "eval", "ascii-render"}
+            assert flag in helps[words[1]], line
+    assert {line.split()[1] for line in named} == set(helps)
