@@ -99,7 +99,8 @@ def comparison_sheets(found: dict[str, Any], title: str) -> list[Sheet]:
         )
     names = [row["policy"] for row in found["policies"]]
     lines = [(str(d["episode"]), d["environment"], *d["outcomes"].values()) for d in found["differing"]]
-    less = ("policy", "success less the first's", "p (Holm)", "only\nthis", "only\nfirst", "nav. time less the first's")
+    counts = ("only\nthis", "only\nfirst")
+    less = ("policy", "success less\nthe first's", "p (Holm)", *counts, "nav. time less\nthe first's")
     sheets = [
         Sheet(title, ("policy", "success", "collision", "time-out", "nav.\ntime", "total\nreward"), rates),
         Sheet(f"Differences from {first['policy']}, with 95 % intervals over episodes", less, gaps),
