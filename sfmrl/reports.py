@@ -134,10 +134,10 @@ def _difference(row: dict[str, Any]) -> tuple[str, ...]:
 
 CONTRASTED = (
     ("success", "success", rate),
-    ("validation success after imitation", "start_success", rate),
-    ("validation success, first quarter", "early_success", rate),
-    ("training success, first quarter", "early_training_success", rate),
-    ("drop from one validation to the next", "drops", rate),
+    ("validation after imitation", "start_success", rate),
+    ("validation, first quarter", "early_success", rate),
+    ("training, first quarter", "early_training_success", rate),
+    ("drop between validations", "drops", rate),
     ("navigation time, s", "navigation_time", lambda value: f"{value:.2f}"),
 )
 
