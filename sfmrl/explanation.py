@@ -73,6 +73,7 @@ class Explanation:
 def explain_episode(record: Record, row: int, policy: Any, reward: Reward, discount: float) -> Explanation:
     """The explanation of the episode in one row of a record, under a reward and a discount per second at 1 m/s.
 
+    Each step's row has the terms of `reward` by their names, and those of all rewards as "sfm: distance" and so on.
     Values of actions are there for policies that look ahead, and where anybody is to be seen.
     """
     story = tell(record, row, policy, reward, discount)
@@ -82,7 +83,8 @@ def explain_episode(record: Record, row: int, policy: Any, reward: Reward, disco
     rewards = REWARDS
     if reward not in REWARDS.values():
         rewards = {f"own {reward.reward.rpartition(':')[2]}": reward} | REWARDS
-    accounts = [_account(name, reward_terms(chosen)(transition), factors) for name, chosen in rewards.items()]
+    paid = {name: reward_terms(chosen)(transition) for name, chosen in rewards.items()}
+    accounts = [_account(name, terms, factors) for name, terms in paid.items()]
     own = next(account for account in accounts if rewards[account.name] == reward)
     pay = total(story.terms)
     columns = {
@@ -99,6 +101,7 @@ def explain_episode(record: Record, row: int, policy: Any, reward: Reward, disco
         "discounted_reward": factors * pay,
         "return_so_far": story.returns[1:],
         **_values(story),
+        **{f"{name}: {term}": values for name, terms in paid.items() for term, values in terms.items()},
     }
     rows = [dict(zip(columns, map(_plain, values), strict=True)) for values in zip(*columns.values(), strict=True)]
     return Explanation(story.name.replace(" · ", ", "), rows, tuple(story.terms), own, accounts)

@@ -37,6 +37,9 @@ def test_the_terms_add_up_to_the_record_s_return_whatever_the_reward(reward, env
             assert explained.steps[-1]["return_so_far"] == pytest.approx(record.discounted_return[row], abs=1e-12)
             for step, paid in zip(explained.steps, record.reward[row], strict=False):
                 assert sum(step[term] for term in explained.terms) == pytest.approx(paid, abs=1e-15)
+            for account in explained.accounts:
+                by_step = {term: [s[f"{account.name}: {term}"] for s in explained.steps] for term in account.plain}
+                assert {term: sum(paid) for term, paid in by_step.items()} == pytest.approx(account.plain, abs=1e-12)
             names = [account.name for account in explained.accounts]
             assert names == (["own sfm-discount"] if reward is OWN else []) + list(REWARDS)
 
