@@ -34,7 +34,7 @@ def run_jobs(jobs: list[Job], side_by_side: int, progress: Progress, stop: StopS
     failed: list[Job] = []
     before = sum(map(_played, waiting))
     told_of = before
-    with progress(f"{len(waiting)} trainings", sum(job.episodes for job in waiting) - before) as told:
+    with progress("trainings", sum(job.episodes for job in waiting) - before) as told:
         try:
             while running or waiting:
                 for job, process in list(running.items()):

@@ -38,7 +38,7 @@ def run_on_ray(jobs: list[Job], progress: Progress, stop: StopSignal, say: Calla
     sent: dict[ray.ObjectRef, Job] = {}
     failed: list[Job] = []
     packed: dict[Path, ray.ObjectRef] = {}
-    with progress(f"{len(waiting)} trainings", sum(job.episodes for job in waiting)) as told:
+    with progress("trainings", sum(job.episodes for job in waiting)) as told:
         while waiting or sent:
             for job in [job for job in waiting if job.needs is None or finished(job.needs)]:
                 waiting.remove(job)
