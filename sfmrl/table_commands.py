@@ -1,6 +1,5 @@
 """The commands that make the paper's tables and its validation figure: `sfmrl table`, `sfmrl figure`."""
 
-import io
 import json
 from pathlib import Path
 from typing import Annotated, Any
@@ -91,9 +90,11 @@ def figure(
     overwrite: Overwrite = False,
 ) -> None:
     """Draw validation success over the trainings of a table: mean over seeds, and its 95 % interval shaded."""
-    from rich.console import Console
+    from rich.text import Text
 
     from sfmrl.curves import curve_rows, draw_curves
+    from sfmrl.exports import to_svg
+    from sfmrl.replay import Frame
 
     _known(preset)
     for flag, path in (("csv", csv), ("svg", svg)):
@@ -102,10 +103,8 @@ def figure(
     if csv:
         csv.write_text(csv_text(lines))
     if svg:
-        paper = Console(record=True, width=120, file=io.StringIO())
-        for line in draw_curves(lines, 120, 48):
-            paper.print(line)
-        svg.write_text(paper.export_svg(title=f"Validation success, table {number}, {preset} preset"))
+        picture = Frame(Text("\n").join(draw_curves(lines, 120, 48)), time=0.0)
+        svg.write_text(to_svg([picture], f"Validation success, table {number}, {preset} preset"))
     for line in draw_curves(lines, max(out.width, 40), max(out.height - 2, 16)):
         out.print(line if out.is_terminal else line.plain, highlight=False)
 
