@@ -91,20 +91,8 @@ def rl(
     workers = use_threads(threads)
     device = usable(device)
     if resume:
-        current = reopen(
-            "rl",
-            resume,
-            [
-                variant,
-                source,
-                from_scratch or None,
-                map_file,
-                run,
-                overwrite or None,
-                go_on or None,
-                *settings.values(),
-            ],
-        )
+        flags = (from_scratch or None, overwrite or None, go_on or None)
+        current = reopen("rl", resume, [variant, source, map_file, run, *flags, *settings.values()])
     else:
         if source and from_scratch:
             raise ConfigError("--from and --from-scratch exclude each other; leave out one of them")
