@@ -110,3 +110,8 @@ def test_output_is_compared_as_it_should_be():
     assert not same("loss 0.12", "loss 0.13")
     assert same("loss 0.12, -3 m", "loss  0.134, 4 m", alike=False)
     assert not same("loss 0.12", "less 0.12", alike=False)
+
+
+@pytest.mark.parametrize("table", sorted((ROOT / "tutorials" / "results").glob("*.md")), ids=lambda path: path.stem)
+def test_the_page_of_tables_shows_the_results_as_they_were_written(table):
+    assert table.read_text(encoding="utf-8").strip() in (ROOT / "tutorials" / "tables.md").read_text(encoding="utf-8")
