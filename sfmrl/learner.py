@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from sfmrl.config import Config
-from sfmrl.learning import OPTIMIZERS, SCHEDULES, generator_state, learn, set_generator_state
+from sfmrl.learning import OPTIMIZERS, SCHEDULES, forget, generator_state, learn, set_generator_state
 from sfmrl.memory import Memory
 from sfmrl.network import ValueNetwork
 from sfmrl.scenarios import generator
@@ -46,6 +46,7 @@ class Learner:
             return float("nan")
         schedule = SCHEDULES[settings.schedule]
         losses = []
+        forget(self.optimizer)
         for _ in range(batches):
             rows = self.rng.choice(len(self.memory), min(settings.batch_size, len(self.memory)), replace=False)
             progress = self.batch / max(settings.episodes * settings.batches, 1)

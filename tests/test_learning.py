@@ -16,7 +16,7 @@ from sfmrl.evaluation import evaluate
 from sfmrl.exploration import epsilon, explore, remember
 from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
 from sfmrl.learner import Learner, follow
-from sfmrl.learning import OPTIMIZERS, SCHEDULES, Fit, generator_state, learn, set_generator_state
+from sfmrl.learning import OPTIMIZERS, SCHEDULES, Fit, forget, generator_state, learn, set_generator_state
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.memory import Memory
 from sfmrl.network import ValueNetwork
@@ -78,6 +78,28 @@ def test_a_step_of_adam_equals_a_hand_computation():
             continue
         # In the first step both moments, corrected for their start at 0, are the gradient's own.
         torch.testing.assert_close(p, q - 1e-3 * g / (g.abs() + 1e-8), rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["sgd", "adam"])
+def test_forgetting_spares_denormal_numbers_and_changes_no_parameter(name):
+    def train(forgetting: bool) -> tuple[ValueNetwork, torch.Tensor]:
+        network = ValueNetwork(seed=4)
+        with torch.no_grad():
+            network.mlp1[0].bias[:40] = -100.0  # forty units that are active only at first
+        optimizer = OPTIMIZERS[name](network)
+        for number in range(1200):
+            states, values = random_batch(number % 7, count=2, elements=2)
+            learn(network, optimizer, 1e-3, states * (50.0 if number < 3 else 1.0), values)
+            if forgetting and number % 200 == 0:
+                forget(optimizer)
+        state = optimizer.state[network.flat]
+        return network, state["momentum_buffer" if name == "sgd" else "exp_avg"]
+
+    (plain, before), (spared, after) = train(False), train(True)
+    assert torch.equal(plain.flat, spared.flat)
+    denormal = torch.finfo(torch.float32).tiny
+    assert ((before != 0) & (before.abs() < denormal)).sum() > 100
+    assert not ((after != 0) & (after.abs() < denormal)).any()
 
 
 @settings(max_examples=100)
