@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sfmrl.crowd import World, advance, transition
+from sfmrl.crowd import World, advance, crowd_velocities, transition
 from sfmrl.geometry import length
 from sfmrl.rewards import COLLISION, RUNNING
 
@@ -20,7 +20,6 @@ def _actions() -> np.ndarray:
 ACTIONS = _actions()
 # Those that are tried where sequences of actions are: stop, and all headings at full speed and at 0.48 of it.
 OUTLOOK = np.flatnonzero(np.isin(np.arange(81) % 5, (0, 3)))
-FORESEEN = 0.1  # m: how far the robot keeps from where people will be if they go straight on
 
 
 def best_untrapped(
@@ -33,11 +32,11 @@ def best_untrapped(
 ) -> np.ndarray:
     """The most valuable actions (E,) that neither collide nor lead where every action (E, A, 2) does.
 
-    `values` and `outcome` (E, A) are those of the actions. With more `steps`, actions are preferred that so many others
-    (of `OUTLOOK`) can follow without a collision. The most valuable of all where none is free.
+    `values` and `outcome` (E, A) are those of the actions. With two `steps`, actions are preferred that two others (of
+    `OUTLOOK`) can follow without a collision. The most valuable of all where none is free.
 
-    The first step is exact without another one of the crowd: a collision is judged by the velocities that people had
-    before the step, and those of the next step are the `crowd_velocity` (E, N, 2) of this one.
+    Both steps are exact. A collision is judged by the velocities that people had before the step: those of the next are
+    the `crowd_velocity` (E, N, 2) of this one, and those after it are asked of the simulator.
     """
     best = values.argmax(1)
     safe = np.where(outcome == COLLISION, -np.inf, values)
@@ -58,28 +57,23 @@ def best_untrapped(
     return best
 
 
-def trapped(world: World, actions: np.ndarray, steps: int = 1, margin: float = 0.0) -> np.ndarray:
-    """Whether all sequences of `steps` actions (E, A, 2) collide if people keep their velocities, (E,) bool.
-
-    To come closer to a person than `margin` (m) is a collision, too; from the second step on, which is a guess, than
-    `FORESEEN`.
-    """
-    step = transition(world, actions)
-    collides = step.outcome == COLLISION
-    if margin:
-        people = np.where(world.square[:, None, 1:], np.inf, step.separations)
-        collides |= people.min(axis=-1, initial=np.inf) < margin
+def trapped(world: World, actions: np.ndarray, steps: int = 1) -> np.ndarray:
+    """Whether all actions (E, A, 2), or with two `steps` all pairs of them, collide, (E,) bool."""
+    collides = transition(world, actions).outcome == COLLISION
     lost = collides.all(1)
     if steps == 1:
         return lost
     # Nobody can be met who is farther away than both can go.
     gap = length(world.position[:, 1:] - world.position[:, :1]) - world.radius[:, 1:] - world.radius[:, :1]
-    reach = steps * world.simulation.time_step * (length(world.velocity[:, 1:]) + world.v_pref[:, :1]) + FORESEEN
-    doubtful = np.flatnonzero(~lost & ((gap < reach) & ~world.square[:, 1:]).any(1))
+    fastest = np.maximum(length(world.velocity[:, 1:]), world.v_pref[:, 1:]) + world.v_pref[:, :1]
+    near = (gap < 2 * world.simulation.time_step * fastest) & ~world.square[:, 1:]
+    doubtful = np.flatnonzero(~lost & near.any(1))
+    before = world.take(doubtful)
+    moves = crowd_velocities(before)
     row, action = np.nonzero(~collides[doubtful])
     first, then = actions[doubtful[row], action], actions[doubtful[row]]
-    before = replace(world, edges=world.edges.none()).take(doubtful[row])  # edges are for ORCA, and large
-    open_end = ~trapped(advance(before, before.velocity, first), then, steps - 1, FORESEEN)
+    before = replace(before, edges=before.edges.none()).take(row)  # edges are for ORCA, and large
+    open_end = ~trapped(advance(before, moves[row], first), then)
     lost[doubtful] = True
     lost[doubtful[row[open_end]]] = False
     return lost

@@ -3,7 +3,8 @@
 Stuck is a robot whose way to the goal (`planner.py`) has not become shorter by `stall_distance` within `stall_time`.
 From then on it takes, in its policy's place, the action that shortens the way most, of those that neither collide nor
 lead into a trap; once no square stands between it and the goal, its policy chooses again. A network's choice, too, is
-held to look farther ahead for traps than in training. This is at play alone: nothing is learnt from it.
+held to look farther ahead for traps than in training, with the people's moves as the simulator will make them. This
+is at play alone: nothing is learnt from it.
 """
 
 import copy
@@ -18,7 +19,7 @@ from sfmrl.geometry import closest_approach
 from sfmrl.lookahead import Policy
 from sfmrl.rewards import COLLISION, SUCCESS
 
-TRAP_STEPS = 2  # of people going straight on, after the step that is known
+TRAP_STEPS = 2  # after the one that is chosen
 
 
 class RecoveringPolicy:

@@ -7,7 +7,7 @@ import pytest
 
 from sfmrl.actions import ACTIONS, OUTLOOK, best_untrapped, trapped
 from sfmrl.config import Config, Planner, Reward, Simulation
-from sfmrl.crowd import advance, reset, transition
+from sfmrl.crowd import advance, crowd_velocities, reset, transition
 from sfmrl.episodes import play_episodes
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
@@ -92,26 +92,26 @@ def test_recovery_is_put_on_and_taken_off_and_leaves_the_network_as_it_was():
 
 
 def squeezed(episodes: int, seed: int):
-    """Worlds with three people near the robot, coming for it at once, and what they are about to do."""
+    """Worlds with seven people near the robot, who do not see it and come its way, and what they are about to do."""
     rng = np.random.default_rng(seed)
-    angle, reach = rng.uniform(0, 2 * np.pi, (episodes, 3)), rng.uniform(0.65, 1.3, (episodes, 3))
+    angle, reach = rng.uniform(0, 2 * np.pi, (episodes, 7)), rng.uniform(0.7, 1.8, (episodes, 7))
     around = reach[..., None] * np.stack((np.cos(angle), np.sin(angle)), -1)
     start = np.concatenate((np.zeros((episodes, 1, 2)), around), axis=1)
-    world = reset(Scenes(start, start + 3))
+    world = reset(Scenes(start, -4 * start + [3, 0]), Simulation(robot_visible=False))
     velocity = np.concatenate((np.zeros((episodes, 1, 2)), -around / reach[..., None]), axis=1)
     velocity += rng.normal(0, 0.3, velocity.shape)
-    return type(world)(**{**vars(world), "velocity": velocity}), velocity
+    world = type(world)(**{**vars(world), "velocity": velocity})
+    return world, crowd_velocities(world)
 
 
 def has_way_out(world, actions: np.ndarray, steps: int) -> bool:
     """Whether a sequence of so many actions has no collision, by trying them all, for a world of one episode."""
     for sequence in product(actions, repeat=steps):
         at = world
-        for number, action in enumerate(sequence):
-            step = transition(at, action[None])
-            if step.outcome[0] == COLLISION or (number and step.separation[0] < 0.1):
+        for action in sequence:
+            if transition(at, action[None]).outcome[0] == COLLISION:
                 break
-            at = advance(at, at.velocity, action[None])
+            at = advance(at, crowd_velocities(at), action[None])
         else:
             return True
     return False
