@@ -83,7 +83,8 @@ def _by_weight(d_output: Tensor, inputs: Tensor) -> Tensor:
         return d_output.t() @ inputs
     half = len(inputs) // 2
     halves = d_output[: 2 * half].view(2, half, -1).transpose(1, 2), inputs[: 2 * half].view(2, half, -1)
-    found = torch.bmm(*halves).sum(0)
+    found, other = torch.bmm(*halves)
+    found += other
     if len(inputs) % 2:
         found += d_output[-1:].t() * inputs[-1:]
     return found
