@@ -32,11 +32,11 @@ def best_untrapped(
 ) -> np.ndarray:
     """The most valuable actions (E,) that neither collide nor lead where every action (E, A, 2) does.
 
-    `values` and `outcome` (E, A) are those of the actions. With two `steps`, actions are preferred that two others (of
-    `OUTLOOK`) can follow without a collision. The most valuable of all where none is free.
+    `values` and `outcome` (E, A) are those of the actions. With more `steps`, actions are preferred that so many others
+    (of `OUTLOOK`) can follow without a collision. The most valuable of all where none is free.
 
-    Both steps are exact. A collision is judged by the velocities that people had before the step: those of the next are
-    the `crowd_velocity` (E, N, 2) of this one, and those after it are asked of the simulator.
+    Every step is exact. A collision is judged by the velocities that people had before the step: those of the next are
+    the `crowd_velocity` (E, N, 2) of this one, in m/s, and those after it are asked of the simulator.
     """
     best = values.argmax(1)
     safe = np.where(outcome == COLLISION, -np.inf, values)
@@ -58,7 +58,10 @@ def best_untrapped(
 
 
 def trapped(world: World, actions: np.ndarray, steps: int = 1) -> np.ndarray:
-    """Whether all actions (E, A, 2), or with two `steps` all pairs of them, collide, (E,) bool."""
+    """Whether all sequences of `steps` actions, of (E, A, 2) in m/s, collide, (E,) bool.
+
+    To stop is taken to be one of the actions, so that squares alone trap nobody who has not run into one.
+    """
     collides = transition(world, actions).outcome == COLLISION
     lost = collides.all(1)
     if steps == 1:
@@ -66,14 +69,15 @@ def trapped(world: World, actions: np.ndarray, steps: int = 1) -> np.ndarray:
     # Nobody can be met who is farther away than both can go.
     gap = length(world.position[:, 1:] - world.position[:, :1]) - world.radius[:, 1:] - world.radius[:, :1]
     fastest = np.maximum(length(world.velocity[:, 1:]), world.v_pref[:, 1:]) + world.v_pref[:, :1]
-    near = (gap < 2 * world.simulation.time_step * fastest) & ~world.square[:, 1:]
+    near = (gap < steps * world.simulation.time_step * fastest) & ~world.square[:, 1:]
     doubtful = np.flatnonzero(~lost & near.any(1))
     before = world.take(doubtful)
     moves = crowd_velocities(before)
     row, action = np.nonzero(~collides[doubtful])
     first, then = actions[doubtful[row], action], actions[doubtful[row]]
-    before = replace(before, edges=before.edges.none()).take(row)  # edges are for ORCA, and large
-    open_end = ~trapped(advance(before, moves[row], first), then)
+    if steps == 2:  # edges are for ORCA, which the last step does not ask, and large
+        before = replace(before, edges=before.edges.none())
+    open_end = ~trapped(advance(before.take(row), moves[row], first), then, steps - 1)
     lost[doubtful] = True
     lost[doubtful[row[open_end]]] = False
     return lost

@@ -71,10 +71,10 @@ def learn(
 
 
 def forget(optimizer: torch.optim.Optimizer) -> None:
-    """Take what is left of gradients long past out of an optimizer's running means, every few hundred steps.
+    """Take what is left of gradients long past out of an optimizer's running means; to be done every few hundred steps.
 
-    A unit that is no longer active has no gradient, and its mean falls until it is denormal, which processors take a
-    hundred times as long for: a tenth of the parameters made a step of Adam more than twice as slow.
+    A unit that is no longer active has no gradient, and its mean falls until it is denormal, which processors are slow
+    with: a tenth of the parameters made a step of Adam more than twice as slow.
     """
     for state in optimizer.state.values():
         for name in ("momentum_buffer", "exp_avg"):

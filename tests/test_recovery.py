@@ -128,6 +128,16 @@ def test_traps_two_steps_deep_are_those_that_trying_everything_finds():
     assert 0 < found[1].sum() < found[2].sum() < 60
 
 
+def test_traps_three_steps_deep_are_found_where_squares_hold_people_up():
+    world, few = reset(sample_scenes("4", 80, seed=5), Simulation(robot_visible=False)), ACTIONS[[0, 5, 45]]
+    for _ in range(12):
+        world = advance(world, crowd_velocities(world), world.preferred_velocity[:, 0])
+    two, three = (trapped(world, np.broadcast_to(few, (80, *few.shape)), steps) for steps in (2, 3))
+    for e in range(80):
+        assert three[e] == (not has_way_out(world.take(np.array([e])), few, 3))
+    assert 0 < two.sum() < three.sum() < 80
+
+
 def test_the_longer_outlook_takes_the_best_action_that_leaves_a_way_out():
     world, moves = squeezed(60, seed=1)
     values = np.random.default_rng(2).normal(size=(60, 81))
