@@ -2,7 +2,7 @@
 
 For each row of both tables, quick preset, the seed whose validations in the second half of its training were the best
 on the mean (of several, the lowest) is taken: the test episodes have no say in it. Its weights and card go to
-sfmrl/models/.
+sfmrl/models/. Without arguments, the networks that are there are tested anew and their cards renewed.
 """
 
 import json
@@ -39,6 +39,17 @@ def figures(policy: Any, environment: str, episodes: int) -> tuple[dict[str, Any
     return found | {"interval": whole["intervals"]["success"]}, record.outcome[:CHECKED].tolist()
 
 
+def write_card(card: dict[str, Any], episodes: int) -> None:
+    """Test a model alone and with recovery, and write its card."""
+    policy = load_policy(FOLDER / f"{card['name']}.pt")
+    helped, outcomes = figures(policy, card["environment"], episodes)
+    alone, _ = figures(policy.original, card["environment"], episodes)
+    card = card | {"alone": alone, "with_recovery": helped, "outcomes": "".join(outcome[0] for outcome in outcomes)}
+    (FOLDER / f"{card['name']}.json").write_text(json.dumps(card, indent=2) + "\n")
+    found = f"alone {alone['success']:.3f}, with recovery {helped['success']:.3f}"
+    print(f"{card['name']}: seed {card['seed']}, {found}", flush=True)
+
+
 def make_model(name: str, number: int, row: str, tested: Trained, folder: Path) -> None:
     table, seed = TABLES[number], best_seed(tested)
     run = open_run(run_folder(folder, number, PRESET, row, seed))
@@ -46,9 +57,6 @@ def make_model(name: str, number: int, row: str, tested: Trained, folder: Path) 
     config = replace(config, planner=replace(config.planner, recover=True))  # at play; no training sees it
     digest = save_weights(network, config, FOLDER / f"{name}.pt")
     (FOLDER / "SHA256SUMS").unlink()  # the card has it
-    policy = load_policy(FOLDER / f"{name}.pt")
-    helped, outcomes = figures(policy, table.environment, table.test_episodes)
-    alone, _ = figures(policy.original, table.environment, table.test_episodes)
     card = {
         "name": name,
         "variant": row,
@@ -62,16 +70,11 @@ def make_model(name: str, number: int, row: str, tested: Trained, folder: Path) 
         "parameters": sum(p.numel() for p in network.parameters()),
         "sha256": digest,
         "environment": table.environment,
-        "alone": alone,
-        "with_recovery": helped,
-        "outcomes": "".join(outcome[0] for outcome in outcomes),
     }
-    (FOLDER / f"{name}.json").write_text(json.dumps(card, indent=2) + "\n")
-    print(f"{name}: seed {seed}, alone {alone['success']:.3f}, with recovery {helped['success']:.3f}", flush=True)
+    write_card(card, table.test_episodes)
 
 
-if __name__ == "__main__":
-    place, seeds = Path(sys.argv[1]), parse_seeds(sys.argv[2])
+def make_models(place: Path, seeds: list[int]) -> None:
     shutil.rmtree(FOLDER, ignore_errors=True)
     FOLDER.mkdir()
     for number, table in TABLES.items():
@@ -81,3 +84,12 @@ if __name__ == "__main__":
                 print(f"no finished run of row {row} of table {number}")
                 continue
             make_model(row + ("-table2" if number == 2 else ""), number, row, tested, place)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        make_models(Path(sys.argv[1]), parse_seeds(sys.argv[2]))
+    else:
+        for path in sorted(FOLDER.glob("*.json")):
+            known = json.loads(path.read_text())
+            write_card(known, known["alone"]["episodes"])
