@@ -62,12 +62,23 @@ def learn(
 ) -> Tensor:
     """One step of descent at learning rate `rate` on states (B, K, F) and values (B,); returns the loss, a scalar."""
     device = network.device
-    loss, gradients = loss_and_gradients(network, states.to(device), values.to(device))
-    network.flat.grad = torch.cat([gradients[name].reshape(-1) for name in network.tensors])
-    for group in optimizer.param_groups:
-        group["lr"] = rate
-    optimizer.step()
+    loss, _ = loss_and_gradients(network, states.to(device), values.to(device))
+    _descend(optimizer, network.flat, rate)
     return loss
+
+
+@torch.no_grad()
+def _descend(optimizer: torch.optim.Optimizer, flat: Tensor, rate: float) -> None:
+    """An optimizer's step, with the same bits; that of SGD in two operations, since its own is as long as ten more."""
+    if isinstance(optimizer, torch.optim.SGD):
+        state = optimizer.state[flat]
+        if "momentum_buffer" not in state:
+            state["momentum_buffer"] = torch.zeros_like(flat)
+        flat.add_(state["momentum_buffer"].mul_(MOMENTUM).add_(flat.grad), alpha=-rate)
+    else:
+        for group in optimizer.param_groups:
+            group["lr"] = rate
+        optimizer.step()
 
 
 def forget(optimizer: torch.optim.Optimizer) -> None:

@@ -67,12 +67,23 @@ class ValueNetwork(nn.Module):
         self._lay_out()
 
     def _lay_out(self) -> None:
-        """Put all parameters into one long tensor, `flat`, so that an optimizer's step is a single operation."""
+        """Put all parameters into one long tensor, `flat`, so that an optimizer's step is a single operation.
+
+        Their gradients are parts of its `grad`, and `_low_flat` is where their values in low precision go.
+        """
         self.tensors = dict(self.named_parameters())  # at hand: nn.Module takes its time to look them up
         self.flat = torch.cat([parameter.detach().reshape(-1) for parameter in self.tensors.values()])
-        parts = self.flat.split([parameter.numel() for parameter in self.tensors.values()])
-        for parameter, part in zip(self.tensors.values(), parts, strict=True):
-            parameter.data = part.view_as(parameter)
+        self.flat.grad = torch.zeros_like(self.flat)
+        self.gradients = self._parts(self.flat.grad)
+        for name, part in self._parts(self.flat).items():
+            self.tensors[name].data = part
+        self._low_flat = self.flat.to(self.low)
+        self._low = self._parts(self._low_flat)
+
+    def _parts(self, flat: Tensor) -> dict[str, Tensor]:
+        """What belongs to each parameter in a tensor that is laid out like `flat`, by name."""
+        parts = flat.split([parameter.numel() for parameter in self.tensors.values()])
+        return {name: part.view_as(self.tensors[name]) for name, part in zip(self.tensors, parts, strict=True)}
 
     def _apply(self, *args, **options):
         """What `to` and its like do, after which the parameters are tensors of their own."""
@@ -100,6 +111,15 @@ class ValueNetwork(nn.Module):
         """The type of the layers between the first with a row an element and the last."""
         return torch.bfloat16 if self.precision == "bf16" else torch.float32
 
+    def low_tensors(self) -> dict[str, Tensor]:
+        """The parameters in the type `low`, by name."""
+        if self.low == torch.float32:
+            return self.tensors
+        if torch.is_grad_enabled():
+            return {name: parameter.to(self.low) for name, parameter in self.tensors.items()}
+        self._low_flat.copy_(self.flat)  # if several threads do it, all write the same
+        return self._low
+
     @staticmethod
     def scale(states: Tensor) -> Tensor:
         """What `value_prior` multiplies the output by, (B,)."""
@@ -114,27 +134,27 @@ class ValueNetwork(nn.Module):
         if not elements or bool(absent.any()):
             here = (~absent).float()[..., None]
             states = torch.where(absent[..., None], 0.0, states)
-        low, p, rows = self.low, self.tensors, states.reshape(-1, width)
+        low, p, q, rows = self.low, self.tensors, self.low_tensors(), states.reshape(-1, width)
 
         if low == torch.float32:
             first = relu_(linear(rows, p["mlp1.0.weight"], p["mlp1.0.bias"]))
         else:  # numbers as large as metres need more than one bfloat16 each: what the first leaves goes into a second
             coarse = rows.to(low)
             both = torch.cat((coarse, (rows - coarse).to(low)), 1)
-            first = relu_(linear(both, p["mlp1.0.weight"].to(low).repeat(1, 2), p["mlp1.0.bias"].to(low)))
-        hidden = relu_(linear(first, p["mlp1.2.weight"].to(low), p["mlp1.2.bias"].to(low)))
-        feature = relu_(linear(hidden, p["mlp2.0.weight"].to(low), p["mlp2.0.bias"].to(low)))
+            first = relu_(linear(both, q["mlp1.0.weight"].repeat(1, 2), q["mlp1.0.bias"]))
+        hidden = relu_(linear(first, q["mlp1.2.weight"], q["mlp1.2.bias"]))
+        feature = relu_(linear(hidden, q["mlp2.0.weight"], q["mlp2.0.bias"]))
         count = elements if here is None else here.sum(1)  # (B, 1)
         present = hidden.new_ones(batch, 1, elements) if here is None else here.to(low).transpose(1, 2)
         total = (present @ hidden.view(batch, elements, MLP1[-1]))[:, 0].float()
         mean = total / (count if here is None else count.clamp(min=1.0))  # (B, 100)
 
-        for_element, for_mean = p["attention.0.weight"].split(MLP1[-1], dim=1)
-        from_mean = linear(mean, for_mean, p["attention.0.bias"]).to(low)  # (B, 100)
-        from_mean = from_mean[:, None].expand(batch, elements, ATTENTION[0]).reshape(-1, ATTENTION[0])
-        score_1 = relu_(torch.addmm(from_mean, hidden, for_element.to(low).t()))
-        score_2 = relu_(linear(score_1, p["attention.2.weight"].to(low), p["attention.2.bias"].to(low)))
-        score = _one(score_2, p["attention.4.weight"].to(low), p["attention.4.bias"].to(low)).float()
+        for_element, for_mean = q["attention.0.weight"][:, : MLP1[-1]], p["attention.0.weight"][:, MLP1[-1] :]
+        from_mean = linear(mean, for_mean, p["attention.0.bias"])  # (B, 100)
+        score_1 = hidden.new_empty(batch, elements, ATTENTION[0]).copy_(from_mean[:, None]).view(-1, ATTENTION[0])
+        score_1 = relu_(score_1.addmm_(hidden, for_element.t()))
+        score_2 = relu_(linear(score_1, q["attention.2.weight"], q["attention.2.bias"]))
+        score = _one(score_2, q["attention.4.weight"], q["attention.4.bias"]).float()
         score = score.view(batch, elements)
         if here is not None:
             score = score.masked_fill(absent, -torch.inf)
