@@ -24,13 +24,13 @@ def loss_and_gradients(network: ValueNetwork, states: Tensor, values: Tensor) ->
         states, values = states.repeat(2, 1, 1), values.repeat(2)
     trace = network.trace(states)
     batch, elements = trace.share.shape
-    weights, low_weights, low, found = network.tensors, network.low_tensors(), network.low, network.gradients
+    weights, low, found = network.tensors, network.low, network.gradients
 
     def through(name: str, d_output: Tensor, inputs: Tensor, out: Tensor | None = None) -> Tensor:
         """Note a layer's gradients, and return the one by its inputs, written to `out` if that is given."""
         _by_weight(d_output, inputs, found[name + ".weight"])
         _by_bias(d_output, found[name + ".bias"])
-        weight = (weights if d_output.dtype == torch.float32 else low_weights)[name + ".weight"]
+        weight = (weights if d_output.dtype == torch.float32 else trace.low_weights)[name + ".weight"]
         return torch.mul(d_output, weight, out=out) if len(weight) == 1 else torch.mm(d_output, weight, out=out)
 
     scale = network.scale(states) if network.value_prior else None
@@ -67,7 +67,7 @@ def loss_and_gradients(network: ValueNetwork, states: Tensor, values: Tensor) ->
     _by_bias(d_both, found["attention.0.bias"])
     d_mean = d_both @ weights["attention.0.weight"][:, width:]
     d_hidden = through("mlp2.0", d_feature, trace.hidden, out=d_score_2)
-    d_hidden.addmm_(d_score_1, low_weights["attention.0.weight"][:, :width])
+    d_hidden.addmm_(d_score_1, trace.low_weights["attention.0.weight"][:, :width])
     if trace.here is None:
         d_hidden.view(batch, elements, -1).add_((d_mean / elements).to(low)[:, None])
     else:
@@ -82,9 +82,9 @@ def loss_and_gradients(network: ValueNetwork, states: Tensor, values: Tensor) ->
 
 
 def _relu(gradient: Tensor, output: Tensor) -> Tensor:
-    """The gradient by a ReLU's input, written over that by its output: zero where the output is."""
+    """The gradient by a ReLU's input, written over that by its output: zero where the output is, which is lost."""
     if gradient.dtype == torch.bfloat16:  # as integers, see `network.relu_`
-        gradient.view(torch.int16).mul_(output.view(torch.int16).clamp(max=1))
+        gradient.view(torch.int16).mul_(output.view(torch.int16).clamp_(max=1))
         return gradient
     return torch.ops.aten.threshold_backward.grad_input(gradient, output, 0, grad_input=gradient)
 

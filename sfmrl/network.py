@@ -43,6 +43,7 @@ class Trace(NamedTuple):
     joint: Tensor  # (B, 56) or (B, 58), the robot's own columns and mlp2's last layer
     last: tuple[Tensor, Tensor, Tensor]  # (B, 150), (B, 100), (B, 100), mlp3 up to its last layer
     output: Tensor  # (B,)
+    low_weights: dict[str, Tensor]  # what `low_tensors` gave
 
 
 class ValueNetwork(nn.Module):
@@ -169,7 +170,7 @@ class ValueNetwork(nn.Module):
         last_3 = relu_(linear(last_2, p["mlp3.4.weight"], p["mlp3.4.bias"]))
         output = _one(last_3, p["mlp3.6.weight"], p["mlp3.6.bias"])
         last = last_1, last_2, last_3
-        return Trace(rows, here, first, hidden, feature, mean, score_1, score_2, share, pooled, joint, last, output)
+        return Trace(rows, here, first, hidden, feature, mean, score_1, score_2, share, pooled, joint, last, output, q)
 
     @torch.inference_mode()
     def evaluate(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
