@@ -42,7 +42,7 @@ def _one_cycle(progress: float) -> float:
 
 SCHEDULES: dict[str, Callable[[float], float]] = {"constant": _constant, "linear": _linear, "one-cycle": _one_cycle}
 OPTIMIZERS: dict[str, Callable[[ValueNetwork], torch.optim.Optimizer]] = {
-    "sgd": lambda network: torch.optim.SGD([network.flat], lr=0.0, momentum=MOMENTUM, fused=True),
+    "sgd": lambda network: torch.optim.SGD([network.flat], lr=0.0, momentum=MOMENTUM),
     "adam": lambda network: torch.optim.Adam([network.flat], lr=0.0, fused=True),
 }
 
@@ -69,7 +69,7 @@ def learn(
 
 @torch.no_grad()
 def _descend(optimizer: torch.optim.Optimizer, flat: Tensor, rate: float) -> None:
-    """An optimizer's step, with the same bits; that of SGD in two operations, since its own is as long as ten more."""
+    """An optimizer's step. That of SGD is done here, to the same bits: most of the time of torch's is not arithmetic."""
     if isinstance(optimizer, torch.optim.SGD):
         state = optimizer.state[flat]
         if "momentum_buffer" not in state:

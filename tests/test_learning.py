@@ -15,6 +15,7 @@ from sfmrl.episodes import Record, play, returns_of
 from sfmrl.evaluation import evaluate
 from sfmrl.exploration import epsilon, explore, remember
 from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
+from sfmrl.gradients import loss_and_gradients
 from sfmrl.learner import Learner, follow
 from sfmrl.learning import OPTIMIZERS, SCHEDULES, Fit, forget, generator_state, learn, set_generator_state
 from sfmrl.lookahead import SarlPolicy
@@ -65,6 +66,19 @@ def test_two_steps_of_sgd_equal_a_hand_computation():
                 p -= rate * v
     for (name, p), q in zip(network.named_parameters(), mirror.parameters(), strict=True):
         torch.testing.assert_close(p, q, rtol=1e-5, atol=1e-7, msg=name)
+
+
+def test_steps_of_sgd_have_the_bits_of_torch_s_own():
+    ours, theirs = ValueNetwork(seed=3), ValueNetwork(seed=3)
+    optimizer, reference = OPTIMIZERS["sgd"](ours), torch.optim.SGD([theirs.flat], momentum=0.9, foreach=False)
+    for number in range(6):
+        states, values = random_batch(number, count=40)
+        reference.param_groups[0]["lr"] = rate = 0.1 / (number + 1)
+        learn(ours, optimizer, rate, states, values)
+        loss_and_gradients(theirs, states, values)
+        reference.step()
+        assert torch.equal(ours.flat, theirs.flat)
+    assert torch.equal(optimizer.state[ours.flat]["momentum_buffer"], reference.state[theirs.flat]["momentum_buffer"])
 
 
 def test_a_step_of_adam_equals_a_hand_computation():
