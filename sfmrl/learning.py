@@ -69,7 +69,7 @@ def learn(
 
 @torch.no_grad()
 def _descend(optimizer: torch.optim.Optimizer, flat: Tensor, rate: float) -> None:
-    """An optimizer's step. That of SGD is done here, to the same bits: most of the time of torch's is not arithmetic."""
+    """An optimizer's step. SGD's is written out, with the same bits: most of the time of torch's is not arithmetic."""
     if isinstance(optimizer, torch.optim.SGD):
         state = optimizer.state[flat]
         if "momentum_buffer" not in state:

@@ -14,8 +14,8 @@ from sfmrl.config import Config, Imitation, Reinforcement, Simulation, override
 from sfmrl.episodes import Record, play, returns_of
 from sfmrl.evaluation import evaluate
 from sfmrl.exploration import epsilon, explore, remember
-from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
 from sfmrl.gradients import loss_and_gradients
+from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
 from sfmrl.learner import Learner, follow
 from sfmrl.learning import OPTIMIZERS, SCHEDULES, Fit, forget, generator_state, learn, set_generator_state
 from sfmrl.lookahead import SarlPolicy
