@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from sfmrl.vectors import bits, choose, det, dot
+from sfmrl.vectors import bits, choose, det, dot, right
 
 HALF = np.float32(0.5)
 
@@ -79,9 +79,7 @@ def _shares(agent, other, time_step, neighbor_distance, time_horizon):
     w *= 1 / length
     share = choose(on_disc, (reach * rate - length) * w, along * leg - velocity)
     share *= HALF
-    turned = w[::-1].copy()
-    np.negative(turned[1], out=turned[1])
-    direction = choose(on_disc, turned, leg)
+    direction = choose(on_disc, right(w), leg)
     near = bits(squared < np.float32(neighbor_distance) * np.float32(neighbor_distance))
     share.view(np.int32)[...] &= near
     direction.view(np.int32)[...] &= near

@@ -18,7 +18,7 @@ Vectors are (2, K); what a pair has for both ends of its edge, start and end, ha
 import numpy as np
 
 from sfmrl.polygons import FIELDS
-from sfmrl.vectors import INFINITY, bits, choose, det, dot
+from sfmrl.vectors import INFINITY, bits, choose, det, dot, left, right
 
 COVERED = np.float32(1e-5)  # m/s by which a covered edge may stick out
 SIDES = np.array([[1], [-1]], np.float32)  # an edge's start is at the left, its end at the right
@@ -29,7 +29,7 @@ FEW = 4000  # pairs; with more, it pays to sort out those that the nearest edge 
 def edge_half_planes(edges, agent, time_horizon):
     """Return the half-planes (4, K) of edges that count, the agents (K,) they are for, and the edges' ends (4, K).
 
-    edges (12, S, E) are as in `Edges`, agent (6, C, E) is position, velocity, radius and maximum speed; float32, in m
+    edges (15, S, E) are as in `Edges`, agent (6, C, E) is position, velocity, radius and maximum speed; float32, in m
     and m/s, time_horizon in s. Agents are numbered in the order of (C, E). The ends are x, y of start and end, in m,
     seen from the agent.
     """
@@ -45,7 +45,7 @@ def edge_half_planes(edges, agent, time_horizon):
 
     def planes_of(slot, owner):
         seen = sight.reshape(len(sight), -1).take(slot * agents + owner, axis=1)
-        outline = edges[4:].take(slot * episodes + episode[owner], axis=1)
+        outline = edges[4:12].take(slot * episodes + episode[owner], axis=1)
         planes, counts = _half_planes(seen, outline, agent[2:5].take(owner, axis=1), 1 / np.float32(time_horizon))
         counts = counts.nonzero()[0]
         return planes.take(counts, axis=1), slot[counts], owner[counts]
@@ -113,12 +113,12 @@ def _sights(edges, agent, time_horizon):
     The rows are x and y for start and end; where along the edge, from 0 to 1, the agent is; and the squared distances
     to the edge's line and to the edge. An edge does not count if it turns its back to the agent or is out of reach.
     """
-    start_x, end_x, start_y, end_y = ends = edges[:4, :, None]
-    sight = np.empty((7, len(start_x), *agent.shape[1:]), np.float32)
+    slots, episodes = edges.shape[1:]
+    ends, edge, size = edges[:4].reshape(2, 2, slots, 1, episodes), edges[12:14, :, None], edges[14, :, None]
+    sight = np.empty((7, slots, *agent.shape[1:]), np.float32)
     at = sight[:4].reshape(2, 2, *sight.shape[1:])
-    np.subtract(ends.reshape(2, 2, *start_x.shape), agent[:2, None, None], out=at)
-    edge = np.stack([end_x - start_x, end_y - start_y])
-    along = np.divide(dot(at[:, 0], edge), -dot(edge, edge), out=sight[4])
+    np.subtract(ends, agent[:2, None, None], out=at)
+    along = np.divide(dot(at[:, 0], edge), size, out=sight[4])
     foot = at[:, 0] + along * edge
     line_squared = sight[5] = dot(foot, foot)
     to_start, to_end = dot(at, at)
@@ -127,13 +127,13 @@ def _sights(edges, agent, time_horizon):
     reach = time_horizon * agent[5] + agent[4]
     counts = bits((det(at[:, 0], edge) < 0) & (squared < reach * reach))
     sight[6] = choose(counts, squared, INFINITY)
-    return sight.reshape(7, len(start_x), -1)
+    return sight.reshape(7, slots, -1)
 
 
 def _half_planes(sight, outline, agent, inverse):
     """Return the half-planes (4, K) of pairs of edges and agents, and whether they constrain (K,).
 
-    sight (7, K) is as in `_sights`, outline (8, K) the edges' last rows, agent (3, K) velocity and radius.
+    sight (7, K) is as in `_sights`, outline (8, K) the edges' rows from 4 to 11, agent (3, K) velocity and radius.
     """
     velocity, radius = agent[:2], agent[2]
     radius_squared = radius * radius
@@ -146,10 +146,10 @@ def _half_planes(sight, outline, agent, inverse):
     corner, wall = sight[:4].reshape(2, 2, -1), outline[:4].reshape(2, 2, -1)
     convex, own = outline[4:6] > 0, outline[6:]
     for end in (0, 1):
-        seen = beyond[end].nonzero()[0]
-        corner[:, 1 - end, seen] = corner[:, end, seen]
-        convex[1 - end, seen] = convex[end, seen]
-        wall[:, 1 - end, seen] = own[:, seen] * -SIDES[1 - end]
+        if len(seen := beyond[end].nonzero()[0]):
+            corner[:, 1 - end, seen] = corner[:, end, seen]
+            convex[1 - end, seen] = convex[end, seen]
+            wall[:, 1 - end, seen] = own[:, seen] * -SIDES[1 - end]
 
     leg, foreign = _legs(corner, convex, radius, own, wall)
     half_planes, counts = _tangents(corner * inverse, velocity, leg, foreign, single, own, radius * inverse)
@@ -157,8 +157,8 @@ def _half_planes(sight, outline, agent, inverse):
     # An agent that touches the edge must not come nearer: a half-plane through the origin. At the edge's end, the next
     # edge takes care of it if the agent faces that one, too.
     touching = squared <= radius_squared
-    touched = touching.nonzero()[0]
-    half_planes[:, touched] = _clear(corner[:, 0, touched], single[touched], own[:, touched])
+    if len(touched := touching.nonzero()[0]):
+        half_planes[:, touched] = _clear(corner[:, 0, touched], single[touched], own[:, touched])
     counts |= touching
     counts &= convex[0] | ~single
     counts &= ~(touching & beyond[1]) | (det(corner[:, 1], wall[:, 1]) >= 0)
@@ -202,19 +202,19 @@ def _tangents(cut, velocity, leg, foreign, single, own, margin):
     on_cut = ~single & (across >= 0) & (across <= 1) & (to_cut <= to_leg[0]) & (to_cut <= to_leg[1])
     on_right = right_corner | (~left_corner & ~on_cut & (to_leg[1] < to_leg[0]))
 
-    right = bits(on_right)
-    towards = choose(right, towards[:, 1], towards[:, 0])
+    at_end = bits(on_right)
+    towards = choose(at_end, towards[:, 1], towards[:, 0])
     towards *= 1 / np.sqrt(dot(towards, towards))
-    direction = choose(bits(on_cut), -own, choose(right, -leg[:, 1], leg[:, 0]))
-    direction = choose(bits(at_corner), np.stack([towards[1], -towards[0]]), direction)
-    point = choose(right, cut[:, 1], cut[:, 0]) + margin * np.stack([-direction[1], direction[0]])
+    direction = choose(bits(on_cut), -own, choose(at_end, -leg[:, 1], leg[:, 0]))
+    direction = choose(bits(at_corner), right(towards), direction)
+    point = choose(at_end, cut[:, 1], cut[:, 0]) + margin * left(direction)
     counts = at_corner | on_cut | ~((on_right & foreign[1]) | (~on_right & foreign[0]))
     return np.concatenate([point, direction]), counts
 
 
 def _clear(corner, single, own):
     """Return the half-planes (4, K) of velocities that lead away from the corners, where single, or the edges."""
-    around = np.stack([-corner[1], corner[0]]) * (1 / np.sqrt(dot(corner, corner)))
+    around = left(corner) * (1 / np.sqrt(dot(corner, corner)))
     return np.concatenate([np.zeros_like(own), np.where(single, around, -own)])
 
 

@@ -10,16 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-FIELDS = 12
+FIELDS = 15
 
 
 @dataclass(frozen=True)
 class Edges:
-    """The polygons' edges of E episodes: `values` is float32 (12, S, E), NaN from each episode's last edge on.
+    """The polygons' edges of E episodes: `values` is float32 (15, S, E), NaN from each episode's last edge on.
 
     The first ten rows come in pairs, for an edge's start and end: x; y (m); x; y of the unit direction in which the
-    outline goes on from there, away from this edge; whether the corner is convex (1 or 0). The last two rows are the
-    edge's own unit direction x, y. Seen from outside, an edge starts at the left.
+    outline goes on from there, away from this edge; whether the corner is convex (1 or 0). Then follow the edge's own
+    unit direction x, y; the way x, y (m) from its start to its end, and the negative square of its length. Seen from
+    outside, an edge starts at the left.
     """
 
     values: np.ndarray
@@ -73,7 +74,9 @@ def polygon_edges(polygons: np.ndarray) -> Edges:
     slot = np.arange(len(episode)) - (np.cumsum(per_episode) - per_episode)[episode]
     values = np.full((FIELDS, per_episode.max(initial=0), len(polygons)), np.nan, np.float32)
     ends = [start[0], end[0], start[1], end[1], -previous[0], following[0], -previous[1], following[1]]
-    values[:, slot, episode] = [*ends, start_convex, end_convex, *own]
+    edge = end - start
+    size = -(edge[0] * edge[0] + edge[1] * edge[1])
+    values[:, slot, episode] = [*ends, start_convex, end_convex, *own, *edge, size]
     return Edges(values)
 
 

@@ -23,6 +23,20 @@ def det(a, b):
     return product[0]
 
 
+def left(vector):
+    """Vectors (2, ...) turned by 90 degrees counter-clockwise."""
+    turned = vector[::-1].copy()
+    np.negative(turned[0], out=turned[0])
+    return turned
+
+
+def right(vector):
+    """Vectors (2, ...) turned by 90 degrees clockwise."""
+    turned = vector[::-1].copy()
+    np.negative(turned[1], out=turned[1])
+    return turned
+
+
 def choose(mask, yes, no):
     """Return float32 `yes` where the mask has all `bits` and `no` where it has none, much faster than np.where."""
     no = no.view(np.int32)
