@@ -54,7 +54,7 @@ class World:
     def take(self, rows: np.ndarray) -> "World":
         """The world of some of the episodes: an index array."""
         whole = ("edges", "simulation", "geodesics")
-        kept = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name not in whole}
+        kept = {f.name: getattr(self, f.name).take(rows, axis=0) for f in fields(self) if f.name not in whole}
         return World(**kept, edges=self.edges.take(rows), simulation=self.simulation, geodesics=self.geodesics)
 
     def geodesic_distance(self, position: np.ndarray) -> np.ndarray:
@@ -95,7 +95,8 @@ def crowd_velocities(world: World) -> np.ndarray:
         position = position.copy()
         position[:, 0] = np.nan
     velocity = CROWDS[world.simulation.crowd](world, position)
-    return np.where(world.square[..., None], 0.0, velocity)
+    velocity[world.square] = 0.0
+    return velocity
 
 
 def orca_crowd(
@@ -103,8 +104,10 @@ def orca_crowd(
 ) -> np.ndarray:
     """ORCA's velocities (E, N, 2) for those of `agents` (E, N), or all; `safety_space` m is added to every radius."""
     simulation = world.simulation
+    position = position.copy()
+    position[world.square] = np.nan
     return orca_velocities(
-        np.where(world.square[..., None], np.nan, position),
+        position,
         world.velocity,
         world.preferred_velocity,
         world.radius + (simulation.clearance + safety_space),

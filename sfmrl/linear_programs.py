@@ -22,7 +22,7 @@ Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, sect
 
 import numpy as np
 
-from sfmrl.vectors import INFINITY, dot, limit_speed
+from sfmrl.vectors import INFINITY, dot, limit_speed, put
 
 OUT_OF_REACH = np.float32(1e6)  # m/s
 ROUNDING = np.float32(1e-6)  # m/s
@@ -123,7 +123,7 @@ def _optima(half_planes, max_speed, velocity, wish, cost, *, crowded):
         """Move to the best velocities between the ends of lines, and return which of the lines there are any on."""
         feasible[program] = fits = left <= right
         fits = fits.nonzero()[0]
-        velocity[:, program[fits]] = _along(line, left, right, wish(line, program)).take(fits, axis=1)
+        put(velocity, program[fits], _along(line, left, right, wish(line, program)).take(fits, axis=1))
         return fits
 
     first, line, program = _most_violated(violations(half_planes, velocity), half_planes)
@@ -235,5 +235,5 @@ def _keep_best(velocity, found, program, cost, candidate):
     np.minimum.at(least, program, cost)
     best = (cost == least[program]).nonzero()[0]
     program = program[best]
-    velocity[:, program] = candidate.take(best, axis=1)
+    put(velocity, program, candidate.take(best, axis=1))
     found[program] = True

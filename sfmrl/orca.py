@@ -93,7 +93,8 @@ def orca_velocities(
                     other = _neighbors(planes[:5, :, block], part, others, max_neighbors)
                     lines = agent_half_planes(agent, other, time_step, neighbor_distance, time_horizon)
                 found = _velocities(agent, lines, edges[:, :, block], obstacle_time_horizon)
-                velocities[block, part] = np.where(wanted[part, block], found, np.float32(np.nan)).T
+                velocities[block, part] = found.T
+    velocities[~wanted.T] = np.nan
     return velocities
 
 

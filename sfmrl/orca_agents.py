@@ -22,7 +22,7 @@ def mutual_half_planes(agents, time_step, neighbor_distance, time_horizon):
     """
     count, episodes = agents.shape[1:]
     one, other = _couples(count)
-    first, second = agents.take(one, axis=1), agents.take(other, axis=1)
+    first, second = agents[:5].take(one, axis=1), agents[:5].take(other, axis=1)
     change, direction = _shares(first, second, time_step, neighbor_distance, time_horizon)
     half_planes = np.empty((4, max(count - 1, 0), count, episodes), np.float32)
     half_planes[:2, other - 1, one] = first[2:4] + change
@@ -59,7 +59,8 @@ def _shares(agent, other, time_step, neighbor_distance, time_horizon):
     squared, reach_squared = dot(away, away), reach * reach
     # Agents that overlap must part within the time step.
     overlap = squared <= reach_squared
-    rate = choose(bits(overlap), 1 / np.float32(time_step), 1 / np.float32(time_horizon))
+    rate = np.full(squared.shape, 1 / np.float32(time_horizon))
+    np.copyto(rate, 1 / np.float32(time_step), where=overlap)
 
     # From the centre of the cut-off disc to the relative velocity; the disc counts if that is on its near side.
     w = velocity - rate * away

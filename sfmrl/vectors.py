@@ -52,6 +52,12 @@ def bits(condition):
     return np.negative(mask, out=mask)
 
 
+def put(vectors, where, values):
+    """Write vectors (2, K) to the places `where` (K,) of vectors (2, Q), faster than by `vectors[:, where]`."""
+    x, y = vectors
+    x[where], y[where] = values
+
+
 def limit_speed(velocity, max_speed):
     """Return the velocities (2, Q) with those faster than max_speed (Q,) shortened to it."""
     squared = dot(velocity, velocity)
