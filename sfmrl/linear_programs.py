@@ -22,7 +22,7 @@ Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, sect
 
 import numpy as np
 
-from sfmrl.vectors import INFINITY, dot, limit_speed, put
+from sfmrl.vectors import INFINITY, dot, limit_speed, put, turn_left
 
 OUT_OF_REACH = np.float32(1e6)  # m/s
 ROUNDING = np.float32(1e-6)  # m/s
@@ -62,7 +62,7 @@ def least_violations(half_planes, n_hard, max_speed, velocity):
     violated ^= (violated ^ violated_at_rest) & at_rest
     _, carrier, owner = _lines_where(violated[n_hard:], half_planes[:, n_hard:])
     speed = max_speed[owner]
-    normal_x, normal_y = -carrier[3], carrier[2]
+    normal_x, normal_y = normal = turn_left(carrier[2:])
     projected, possible = _bisectors(half_planes.take(owner, axis=2, mode="clip"), n_hard, carrier)
 
     def wish(line, program):
@@ -71,8 +71,7 @@ def least_violations(half_planes, n_hard, max_speed, velocity):
     def cost(velocity, program):
         return -(normal_x[program] * velocity[0] + normal_y[program] * velocity[1])
 
-    furthest = np.stack([normal_x * speed, normal_y * speed])
-    best, feasible = _optima(projected, speed, furthest, wish, cost, crowded=True)
+    best, feasible = _optima(projected, speed, normal * speed, wish, cost, crowded=True)
     fits = (feasible & possible).nonzero()[0]
     found = np.zeros(len(max_speed), bool)
     _keep_best(velocity, found, owner[fits], violations(carrier, best)[fits], best.take(fits, axis=1))
@@ -143,7 +142,7 @@ def _optima(half_planes, max_speed, velocity, wish, cost, *, crowded):
         half_planes = half_planes.take(programs, axis=2)
         excess = violations(half_planes, velocity.take(programs, axis=1))
         for used in (first, second):
-            excess[used[fits] // len(max_speed), np.arange(len(fits))] -= ROUNDING
+            excess.reshape(-1)[used[fits] // len(max_speed) * len(fits) + np.arange(len(fits))] -= ROUNDING
 
     _, line, column = _lines_where(excess > 0, half_planes)
     program = programs[column]

@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from sfmrl.vectors import bits, choose, det, dot, right
+from sfmrl.vectors import bits, choose, det, dot, turn_right
 
 HALF = np.float32(0.5)
 
@@ -80,7 +80,7 @@ def _shares(agent, other, time_step, neighbor_distance, time_horizon):
     w *= 1 / length
     share = choose(on_disc, (reach * rate - length) * w, along * leg - velocity)
     share *= HALF
-    direction = choose(on_disc, right(w), leg)
+    direction = choose(on_disc, turn_right(w), leg)
     near = bits(squared < np.float32(neighbor_distance) * np.float32(neighbor_distance))
     share.view(np.int32)[...] &= near
     direction.view(np.int32)[...] &= near

@@ -18,7 +18,7 @@ Vectors are (2, K); what a pair has for both ends of its edge, start and end, ha
 import numpy as np
 
 from sfmrl.polygons import FIELDS
-from sfmrl.vectors import INFINITY, bits, choose, det, dot, left, right
+from sfmrl.vectors import INFINITY, bits, choose, det, dot, turn_left, turn_right
 
 COVERED = np.float32(1e-5)  # m/s by which a covered edge may stick out
 SIDES = np.array([[1], [-1]], np.float32)  # an edge's start is at the left, its end at the right
@@ -206,15 +206,15 @@ def _tangents(cut, velocity, leg, foreign, single, own, margin):
     towards = choose(at_end, towards[:, 1], towards[:, 0])
     towards *= 1 / np.sqrt(dot(towards, towards))
     direction = choose(bits(on_cut), -own, choose(at_end, -leg[:, 1], leg[:, 0]))
-    direction = choose(bits(at_corner), right(towards), direction)
-    point = choose(at_end, cut[:, 1], cut[:, 0]) + margin * left(direction)
+    direction = choose(bits(at_corner), turn_right(towards), direction)
+    point = choose(at_end, cut[:, 1], cut[:, 0]) + margin * turn_left(direction)
     counts = at_corner | on_cut | ~((on_right & foreign[1]) | (~on_right & foreign[0]))
     return np.concatenate([point, direction]), counts
 
 
 def _clear(corner, single, own):
     """Return the half-planes (4, K) of velocities that lead away from the corners, where single, or the edges."""
-    around = left(corner) * (1 / np.sqrt(dot(corner, corner)))
+    around = turn_left(corner) * (1 / np.sqrt(dot(corner, corner)))
     return np.concatenate([np.zeros_like(own), np.where(single, around, -own)])
 
 

@@ -23,14 +23,14 @@ def det(a, b):
     return product[0]
 
 
-def left(vector):
+def turn_left(vector):
     """Vectors (2, ...) turned by 90 degrees counter-clockwise."""
     turned = vector[::-1].copy()
     np.negative(turned[0], out=turned[0])
     return turned
 
 
-def right(vector):
+def turn_right(vector):
     """Vectors (2, ...) turned by 90 degrees clockwise."""
     turned = vector[::-1].copy()
     np.negative(turned[1], out=turned[1])
