@@ -36,8 +36,8 @@ class Builder:
 
     def __init__(self, rngs: list[np.random.Generator], rows: int, circle: float) -> None:
         self.rngs, self.circle = rngs, circle
-        self.start = np.full((len(rngs), rows, 2), np.nan)
-        self.goal = np.full((len(rngs), rows, 2), np.nan)
+        self.points = np.full((2, len(rngs), rows, 2), np.nan)
+        self.start, self.goal = self.points
         self.start[:, 0], self.goal[:, 0] = (0.0, -4.0), (0.0, 4.0)
         self.square = np.zeros((len(rngs), rows), dtype=bool)
 
@@ -143,13 +143,13 @@ class Builder:
     def _clear(self, places: np.ndarray, episodes: np.ndarray, least: np.ndarray) -> np.ndarray:
         """Which proposals (n, T, P, 2) keep `least` (n, N) m from every start and goal there: (n, T)."""
         taken = np.flatnonzero(~np.isnan(self.start[episodes, :, 0]).all(0))  # rows that anybody has yet
-        fits = np.ones(places.shape[:2], dtype=bool)
-        for points in (self.start, self.goal):
-            there = points[episodes[:, None], taken]
-            x = places[..., None, 0] - there[:, None, None, :, 0]  # (n, T, P, rows); NaN: nobody there
-            y = places[..., None, 1] - there[:, None, None, :, 1]
-            fits &= ~(x * x + y * y < (least * least)[:, None, None, taken]).any((2, 3))
-        return fits
+        there = self.points[:, episodes[:, None], taken][:, :, None, None]
+        x = places[..., None, 0] - there[..., 0]  # (2, n, T, P, rows), from starts and from goals; NaN: nobody there
+        y = places[..., None, 1] - there[..., 1]
+        x *= x
+        y *= y
+        x += y
+        return ~(x < (least * least)[:, None, None, taken]).any((0, 3, 4))
 
     def _first(self, which: np.ndarray, draws: int, propose: Callable, fits: Callable, what: str) -> np.ndarray:
         """The first proposal that fits, for each of the episodes `which`: (n, P, 2)."""
