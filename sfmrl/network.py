@@ -23,8 +23,10 @@ MLP1, MLP2, ATTENTION, MLP3 = (150, 100), (100, 50), (100, 100, 1), (150, 100, 1
 # Of `value_prior`: the fall-off per metre, and the distance at which the goal counts as reached, m.
 PER_METRE, AT_GOAL, PRIOR = 0.9, 0.3, 0.8
 
-
 LEAST, TINY = -1e30, 1e-30  # a score below all, and a number that makes 0 of 0 / 0
+
+# A layer with ReLU by oneDNN, which torch has no public name for: None where this torch does not have it.
+FUSED = getattr(torch.ops.mkldnn, "_linear_pointwise", None) if torch.backends.mkldnn.is_available() else None
 
 
 class Trace(NamedTuple):
@@ -68,10 +70,8 @@ class ValueNetwork(nn.Module):
         self._lay_out()
 
     def _lay_out(self) -> None:
-        """Put all parameters into one long tensor, `flat`, so that an optimizer's step is a single operation.
-
-        Their gradients are parts of its `grad`, and `_low_flat` is where their values in low precision go.
-        """
+        """Put all parameters into one long tensor, `flat`, and their gradients into its `grad`, so that an optimizer's
+        step is a single operation."""
         self.tensors = dict(self.named_parameters())  # at hand: nn.Module takes its time to look them up
         self.flat = torch.cat([parameter.detach().reshape(-1) for parameter in self.tensors.values()])
         self.flat.grad = torch.zeros_like(self.flat)
@@ -142,9 +142,9 @@ class ValueNetwork(nn.Module):
         else:  # numbers as large as metres need more than one bfloat16 each: what the first leaves goes into a second
             coarse = rows.to(low)
             both = torch.cat((coarse, (rows - coarse).to(low)), 1)
-            first = relu_(linear(both, q["mlp1.0.weight"].repeat(1, 2), q["mlp1.0.bias"]))
-        hidden = relu_(linear(first, q["mlp1.2.weight"], q["mlp1.2.bias"]))
-        feature = relu_(linear(hidden, q["mlp2.0.weight"], q["mlp2.0.bias"]))
+            first = layer(both, q["mlp1.0.weight"].repeat(1, 2), q["mlp1.0.bias"])
+        hidden = layer(first, q["mlp1.2.weight"], q["mlp1.2.bias"])
+        feature = layer(hidden, q["mlp2.0.weight"], q["mlp2.0.bias"])
         count = elements if here is None else here.sum(1)  # (B, 1)
         present = hidden.new_ones(batch, 1, elements) if here is None else here.to(low).transpose(1, 2)
         total = (present @ hidden.view(batch, elements, MLP1[-1]))[:, 0].float()
@@ -154,7 +154,7 @@ class ValueNetwork(nn.Module):
         from_mean = linear(mean, for_mean, p["attention.0.bias"])  # (B, 100)
         score_1 = hidden.new_empty(batch, elements, ATTENTION[0]).copy_(from_mean[:, None]).view(-1, ATTENTION[0])
         score_1 = relu_(score_1.addmm_(hidden, for_element.t()))
-        score_2 = relu_(linear(score_1, q["attention.2.weight"], q["attention.2.bias"]))
+        score_2 = layer(score_1, q["attention.2.weight"], q["attention.2.bias"])
         score = _one(score_2, q["attention.4.weight"], q["attention.4.bias"]).float()
         score = score.view(batch, elements)
         if here is not None:
@@ -192,6 +192,13 @@ class ValueNetwork(nn.Module):
             beyond = np.maximum(states[:, 0, 0] - np.float32(AT_GOAL), np.float32(0))
             value = np.float32(PER_METRE) ** beyond * (np.float32(PRIOR) + value)
         return value, share
+
+
+def layer(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """A linear layer and ReLU: (N, in) -> (N, out). In bfloat16, oneDNN does both in one pass, with the same bits."""
+    if FUSED is None or x.dtype != torch.bfloat16 or x.device.type != "cpu" or torch.is_grad_enabled():
+        return relu_(linear(x, weight, bias))
+    return FUSED(x, weight, bias, "relu", [], "")
 
 
 def relu_(x: Tensor) -> Tensor:
