@@ -20,6 +20,7 @@ def _actions() -> np.ndarray:
 ACTIONS = _actions()
 # Those that are tried where sequences of actions are: stop, and all headings at full speed and at 0.48 of it.
 OUTLOOK = np.flatnonzero(np.isin(np.arange(81) % 5, (0, 3)))
+ROUNDING = 1e-9  # m
 
 
 def best_untrapped(
@@ -62,14 +63,15 @@ def trapped(world: World, actions: np.ndarray, steps: int = 1) -> np.ndarray:
 
     To stop is taken to be one of the actions, so that squares alone trap nobody who has not run into one.
     """
-    collides = transition(world, actions).outcome == COLLISION
+    # Nobody can be met who is farther away than both can go.
+    gap = length(world.position[:, 1:] - world.position[:, :1]) - world.radius[:, 1:] - world.radius[:, :1] - ROUNDING
+    speed, own = length(world.velocity[:, 1:]), length(actions).max(1, initial=0.0)[:, None]
+    collides = transition(world.among(gap < world.simulation.time_step * (speed + own)), actions).outcome == COLLISION
     lost = collides.all(1)
     if steps == 1:
         return lost
-    # Nobody can be met who is farther away than both can go.
-    gap = length(world.position[:, 1:] - world.position[:, :1]) - world.radius[:, 1:] - world.radius[:, :1]
-    fastest = np.maximum(length(world.velocity[:, 1:]), world.v_pref[:, 1:]) + world.v_pref[:, :1]
-    near = (gap < steps * world.simulation.time_step * fastest) & ~world.square[:, 1:]
+    later = np.maximum(speed, world.v_pref[:, 1:])
+    near = (gap < steps * world.simulation.time_step * (later + own)) & ~world.square[:, 1:]
     doubtful = np.flatnonzero(~lost & near.any(1))
     before = world.take(doubtful)
     moves = crowd_velocities(before)

@@ -6,7 +6,7 @@ the policy's choice, `transition` (the one place where outcomes are judged), `ad
 the robot moving as it is about to and the person as before the step; a time-out is judged before anything else.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -56,6 +56,16 @@ class World:
         whole = ("edges", "simulation", "geodesics")
         kept = {f.name: getattr(self, f.name).take(rows, axis=0) for f in fields(self) if f.name not in whole}
         return World(**kept, edges=self.edges.take(rows), simulation=self.simulation, geodesics=self.geodesics)
+
+    def among(self, chosen: np.ndarray) -> "World":
+        """The world with no more elements than the `chosen` ones, (E, N - 1) bool, and others where these are fewer."""
+        most = int(chosen.sum(1).max(initial=0))
+        if most == chosen.shape[1]:
+            return self
+        elements = 1 + np.argsort(~chosen, axis=1, kind="stable")[:, :most]
+        rows = np.arange(len(self))[:, None], np.concatenate((np.zeros((len(self), 1), dtype=int), elements), axis=1)
+        each = ("position", "velocity", "goal", "radius", "v_pref", "square")
+        return replace(self, **{name: getattr(self, name)[rows] for name in each})
 
     def geodesic_distance(self, position: np.ndarray) -> np.ndarray:
         """How far it is from positions (E, ..., 2) to the robot's goal around the squares, (E, ...) m.
