@@ -11,6 +11,7 @@ from torch import Tensor
 from sfmrl.network import ATTENTION, MLP1, MLP2, PRIOR, ValueNetwork
 
 Gradients = dict[str, Tensor]
+RELU_BACKWARD = torch.ops.aten.threshold_backward.grad_input  # has no name in torch itself
 MANY = 256  # rows that threads would split among themselves
 
 
@@ -86,7 +87,7 @@ def _relu(gradient: Tensor, output: Tensor) -> Tensor:
     if gradient.dtype == torch.bfloat16:  # as integers, see `network.relu_`
         gradient.view(torch.int16).mul_(output.view(torch.int16).clamp_(max=1))
         return gradient
-    return torch.ops.aten.threshold_backward.grad_input(gradient, output, 0, grad_input=gradient)
+    return RELU_BACKWARD(gradient, output, 0, grad_input=gradient)
 
 
 def _by_bias(d_output: Tensor, out: Tensor) -> None:
