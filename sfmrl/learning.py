@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.optim.sgd import sgd
 
 from sfmrl.config import Imitation
 from sfmrl.gradients import loss_and_gradients
@@ -20,6 +21,7 @@ from sfmrl.memory import Memory
 from sfmrl.network import ValueNetwork
 
 MOMENTUM = 0.9  # of SGD, as in the paper
+PLAIN = {"weight_decay": 0.0, "dampening": 0.0, "nesterov": False, "maximize": False, "fused": True}  # the rest of SGD
 USEFUL_THREADS = 2  # a batch is too small for more
 FORGOTTEN = 1e-20  # a mean gradient too small to move a parameter; hundreds of steps later it would be denormal
 
@@ -42,7 +44,7 @@ def _one_cycle(progress: float) -> float:
 
 SCHEDULES: dict[str, Callable[[float], float]] = {"constant": _constant, "linear": _linear, "one-cycle": _one_cycle}
 OPTIMIZERS: dict[str, Callable[[ValueNetwork], torch.optim.Optimizer]] = {
-    "sgd": lambda network: torch.optim.SGD([network.flat], lr=0.0, momentum=MOMENTUM),
+    "sgd": lambda network: torch.optim.SGD([network.flat], lr=0.0, momentum=MOMENTUM, fused=True),
     "adam": lambda network: torch.optim.Adam([network.flat], lr=0.0, fused=True),
 }
 
@@ -69,12 +71,12 @@ def learn(
 
 @torch.no_grad()
 def _descend(optimizer: torch.optim.Optimizer, flat: Tensor, rate: float) -> None:
-    """An optimizer's step. SGD's is written out, with the same bits: most of the time of torch's is not arithmetic."""
+    """An optimizer's step; SGD's without what torch does around it, which takes longer than the arithmetic."""
     if isinstance(optimizer, torch.optim.SGD):
         state = optimizer.state[flat]
         if "momentum_buffer" not in state:
             state["momentum_buffer"] = torch.zeros_like(flat)
-        flat.add_(state["momentum_buffer"].mul_(MOMENTUM).add_(flat.grad), alpha=-rate)
+        sgd([flat], [flat.grad], [state["momentum_buffer"]], lr=rate, momentum=MOMENTUM, **PLAIN)
     else:
         for group in optimizer.param_groups:
             group["lr"] = rate

@@ -70,7 +70,7 @@ def test_two_steps_of_sgd_equal_a_hand_computation():
 
 def test_steps_of_sgd_have_the_bits_of_torch_s_own():
     ours, theirs = ValueNetwork(seed=3), ValueNetwork(seed=3)
-    optimizer, reference = OPTIMIZERS["sgd"](ours), torch.optim.SGD([theirs.flat], momentum=0.9, foreach=False)
+    optimizer, reference = OPTIMIZERS["sgd"](ours), torch.optim.SGD([theirs.flat], momentum=0.9, fused=True)
     for number in range(6):
         states, values = random_batch(number, count=40)
         reference.param_groups[0]["lr"] = rate = 0.1 / (number + 1)
