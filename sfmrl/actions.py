@@ -20,7 +20,7 @@ def _actions() -> np.ndarray:
 ACTIONS = _actions()
 # Those that are tried where sequences of actions are: stop, and all headings at full speed and at 0.48 of it.
 OUTLOOK = np.flatnonzero(np.isin(np.arange(81) % 5, (0, 3)))
-ROUNDING = 1e-9  # m
+ROUNDING = 1e-9  # m, more than a distance may be off by
 
 
 def best_untrapped(

@@ -58,7 +58,7 @@ class World:
         return World(**kept, edges=self.edges.take(rows), simulation=self.simulation, geodesics=self.geodesics)
 
     def among(self, chosen: np.ndarray) -> "World":
-        """The world without elements that are not `chosen`, (E, N - 1) bool, but for some where others have more."""
+        """The world with the `chosen` elements, (E, N - 1) bool; where others have more, with some besides."""
         most = int(chosen.sum(1).max(initial=0))
         if most == chosen.shape[1]:
             return self

@@ -138,13 +138,13 @@ class ValueNetwork(nn.Module):
         low, p, q, rows = self.low, self.tensors, self.low_tensors(), states.reshape(-1, width)
 
         if low == torch.float32:
-            first = relu_(linear(rows, p["mlp1.0.weight"], p["mlp1.0.bias"]))
+            first = linear_relu(rows, p["mlp1.0.weight"], p["mlp1.0.bias"])
         else:  # numbers as large as metres need more than one bfloat16 each: what the first leaves goes into a second
             coarse = rows.to(low)
             both = torch.cat((coarse, (rows - coarse).to(low)), 1)
-            first = layer(both, q["mlp1.0.weight"].repeat(1, 2), q["mlp1.0.bias"])
-        hidden = layer(first, q["mlp1.2.weight"], q["mlp1.2.bias"])
-        feature = layer(hidden, q["mlp2.0.weight"], q["mlp2.0.bias"])
+            first = linear_relu(both, q["mlp1.0.weight"].repeat(1, 2), q["mlp1.0.bias"])
+        hidden = linear_relu(first, q["mlp1.2.weight"], q["mlp1.2.bias"])
+        feature = linear_relu(hidden, q["mlp2.0.weight"], q["mlp2.0.bias"])
         count = elements if here is None else here.sum(1)  # (B, 1)
         present = hidden.new_ones(batch, 1, elements) if here is None else here.to(low).transpose(1, 2)
         total = (present @ hidden.view(batch, elements, MLP1[-1]))[:, 0].float()
@@ -154,7 +154,7 @@ class ValueNetwork(nn.Module):
         from_mean = linear(mean, for_mean, p["attention.0.bias"])  # (B, 100)
         score_1 = hidden.new_empty(batch, elements, ATTENTION[0]).copy_(from_mean[:, None]).view(-1, ATTENTION[0])
         score_1 = relu_(score_1.addmm_(hidden, for_element.t()))
-        score_2 = layer(score_1, q["attention.2.weight"], q["attention.2.bias"])
+        score_2 = linear_relu(score_1, q["attention.2.weight"], q["attention.2.bias"])
         score = _one(score_2, q["attention.4.weight"], q["attention.4.bias"]).float()
         score = score.view(batch, elements)
         if here is not None:
@@ -165,9 +165,9 @@ class ValueNetwork(nn.Module):
         summary = linear(pooled, p["mlp2.2.weight"])  # (B, 50)
         summary = summary + (p["mlp2.2.bias"] if here is None else count.clamp(max=1.0) * p["mlp2.2.bias"])
         joint = torch.cat((own, summary), 1)
-        last_1 = relu_(linear(joint, p["mlp3.0.weight"], p["mlp3.0.bias"]))
-        last_2 = relu_(linear(last_1, p["mlp3.2.weight"], p["mlp3.2.bias"]))
-        last_3 = relu_(linear(last_2, p["mlp3.4.weight"], p["mlp3.4.bias"]))
+        last_1 = linear_relu(joint, p["mlp3.0.weight"], p["mlp3.0.bias"])
+        last_2 = linear_relu(last_1, p["mlp3.2.weight"], p["mlp3.2.bias"])
+        last_3 = linear_relu(last_2, p["mlp3.4.weight"], p["mlp3.4.bias"])
         output = _one(last_3, p["mlp3.6.weight"], p["mlp3.6.bias"])
         last = last_1, last_2, last_3
         return Trace(rows, here, first, hidden, feature, mean, score_1, score_2, share, pooled, joint, last, output, q)
@@ -194,7 +194,7 @@ class ValueNetwork(nn.Module):
         return value, share
 
 
-def layer(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+def linear_relu(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     """A linear layer and ReLU: (N, in) -> (N, out). In bfloat16, oneDNN does both in one pass, with the same bits."""
     if FUSED is None or x.dtype != torch.bfloat16 or x.device.type != "cpu" or torch.is_grad_enabled():
         return relu_(linear(x, weight, bias))

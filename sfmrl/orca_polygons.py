@@ -114,11 +114,11 @@ def _sights(edges, agent, time_horizon):
     to the edge's line and to the edge. An edge does not count if it turns its back to the agent or is out of reach.
     """
     slots, episodes = edges.shape[1:]
-    ends, edge, size = edges[:4].reshape(2, 2, slots, 1, episodes), edges[12:14, :, None], edges[14, :, None]
+    ends, edge, minus_squared = edges[:4].reshape(2, 2, slots, 1, episodes), edges[12:14, :, None], edges[14, :, None]
     sight = np.empty((7, slots, *agent.shape[1:]), np.float32)
     at = sight[:4].reshape(2, 2, *sight.shape[1:])
     np.subtract(ends, agent[:2, None, None], out=at)
-    along = np.divide(dot(at[:, 0], edge), size, out=sight[4])
+    along = np.divide(dot(at[:, 0], edge), minus_squared, out=sight[4])
     foot = at[:, 0] + along * edge
     line_squared = sight[5] = dot(foot, foot)
     to_start, to_end = dot(at, at)
@@ -202,12 +202,12 @@ def _tangents(cut, velocity, leg, foreign, single, own, margin):
     on_cut = ~single & (across >= 0) & (across <= 1) & (to_cut <= to_leg[0]) & (to_cut <= to_leg[1])
     on_right = right_corner | (~left_corner & ~on_cut & (to_leg[1] < to_leg[0]))
 
-    at_end = bits(on_right)
-    towards = choose(at_end, towards[:, 1], towards[:, 0])
+    right_end = bits(on_right)
+    towards = choose(right_end, towards[:, 1], towards[:, 0])
     towards *= 1 / np.sqrt(dot(towards, towards))
-    direction = choose(bits(on_cut), -own, choose(at_end, -leg[:, 1], leg[:, 0]))
+    direction = choose(bits(on_cut), -own, choose(right_end, -leg[:, 1], leg[:, 0]))
     direction = choose(bits(at_corner), turn_right(towards), direction)
-    point = choose(at_end, cut[:, 1], cut[:, 0]) + margin * turn_left(direction)
+    point = choose(right_end, cut[:, 1], cut[:, 0]) + margin * turn_left(direction)
     counts = at_corner | on_cut | ~((on_right & foreign[1]) | (~on_right & foreign[0]))
     return np.concatenate([point, direction]), counts
 

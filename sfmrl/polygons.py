@@ -75,8 +75,8 @@ def polygon_edges(polygons: np.ndarray) -> Edges:
     values = np.full((FIELDS, per_episode.max(initial=0), len(polygons)), np.nan, np.float32)
     ends = [start[0], end[0], start[1], end[1], -previous[0], following[0], -previous[1], following[1]]
     edge = end - start
-    size = -(edge[0] * edge[0] + edge[1] * edge[1])
-    values[:, slot, episode] = [*ends, start_convex, end_convex, *own, *edge, size]
+    minus_squared = -(edge[0] * edge[0] + edge[1] * edge[1])
+    values[:, slot, episode] = [*ends, start_convex, end_convex, *own, *edge, minus_squared]
     return Edges(values)
 
 

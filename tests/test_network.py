@@ -17,7 +17,7 @@ from torch import nn
 from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import evaluation_record, metrics
 from sfmrl.files import DamagedFile
-from sfmrl.network import ValueNetwork, layer, new_network
+from sfmrl.network import ValueNetwork, linear_relu, new_network
 from sfmrl.policies import load_policy
 from sfmrl.states import OWN, column_names
 from sfmrl.variants import make_config
@@ -304,4 +304,4 @@ def test_a_layer_in_one_pass_has_the_bits_of_three(rows):
     x, weight, bias = (torch.randn(*s, generator=generator).bfloat16() for s in ((rows, 150), (100, 150), (100,)))
     with torch.inference_mode():
         expected = torch.nn.functional.linear(x, weight, bias).relu()
-        assert torch.equal(layer(x, weight, bias), expected)
+        assert torch.equal(linear_relu(x, weight, bias), expected)
