@@ -191,11 +191,6 @@ class Config:
     value_prior: bool = knob(False, "write the value as 0.9^(goal distance - 0.3) (0.8 + network) (ours)")
     collision_ends: bool = knob(False, "in looking ahead, nothing follows a collision (Sutton and Barto, 1998)")
     avoid_traps: bool = knob(False, "pass over actions after which all collide, if it can (Fraichard and Asama, 2004)")
-    shaping: str = knob(
-        "none",
-        "geodesic: reward getting nearer to the goal on the way around the squares (Ng et al., 1999)",
-        choices=("none", "geodesic"),
-    )
     simulation: Simulation = field(default_factory=Simulation)
     reward: Reward = field(default_factory=Reward)
     planner: Planner = field(default_factory=Planner)
@@ -204,8 +199,6 @@ class Config:
 
     def __post_init__(self) -> None:
         _check(self)
-        if self.shaping != "none" and self.value_prior:
-            raise ConfigError("shaping and value-prior both write the value around a guess; leave out one of them")
 
     def to_json(self) -> str:
         """The whole config as indented JSON."""
@@ -218,7 +211,16 @@ class Config:
             changes = json.loads(text)
         except (TypeError, ValueError):
             raise ConfigError("it is not JSON") from None
+        if isinstance(changes, dict):
+            for name, neutral in RETIRED.items():
+                value = changes.pop(name, neutral)
+                if value != neutral:
+                    raise ConfigError(f"it was made by sfmrl 0.1.0 with {name} {value!r}; play it with that version")
         return override(Config(), changes)
+
+
+# Settings of earlier versions that are gone, and the value under which their files still mean the same.
+RETIRED = {"shaping": "none"}
 
 
 def override(config: Any, changes: Mapping[str, Any]) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 
 from sfmrl.config import Config, Planner, Reward, Simulation
 from sfmrl.crowd import World, advance, crowd_velocities, reset, transition
-from sfmrl.lookahead import Policy, potential, step_discount
+from sfmrl.lookahead import Policy, step_discount
 from sfmrl.policies import find_policy
 from sfmrl.rewards import OUTCOMES, RUNNING, Terms, Transition, reward_terms, total
 from sfmrl.scenarios import Scenes
@@ -110,13 +110,12 @@ def play_episodes(
     *,
     discount: float = 0.9,
     batch: int | None = None,
-    planner: Planner | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Record:
     """`play` with whole configs, `batch` episodes at a time; `progress` is told how many have ended."""
     batch = getattr(policy, "batch", BATCH) if batch is None else batch
     terms = reward_terms(reward)
-    whole = reset(scenes, simulation, getattr(policy, "planner", None) if planner is None else planner)
+    whole = reset(scenes, simulation, getattr(policy, "planner", None))
     count, rows = whole.position.shape[:2]
     longest = simulation.longest
     position = np.full((count, longest + 1, rows, 2), np.nan)
@@ -164,14 +163,6 @@ def rewards_of(transition: Transition, steps: np.ndarray, terms: Callable[[Trans
     rewards = np.full(played.shape, np.nan)
     rewards[played] = total(terms(transition[played]))
     return rewards
-
-
-def potentials(record: Record, config: Config) -> np.ndarray:
-    """What a config's shaping takes off the values of a record's states, (S,) in the order of `Record.worlds`."""
-    if config.shaping == "none":
-        return np.zeros(int(record.steps.sum()))
-    worlds = record.worlds(config.planner)
-    return potential(worlds, worlds.position[:, 0], config)
 
 
 def returns_of(rewards: np.ndarray, step_discount: np.ndarray, guess: np.ndarray | None = None) -> np.ndarray:

@@ -9,7 +9,7 @@ import typer
 from sfmrl.config import ConfigError, suggest
 from sfmrl.console import err, new_file, print_metrics, print_sheet, print_sweep, replay_command, say, say_result
 from sfmrl.files import csv_text
-from sfmrl.options import Device, Environment, MapFile, Overwrite, PolicyName, Threads, option, settings_options
+from sfmrl.options import Environment, MapFile, Overwrite, PolicyName, Threads, option, settings_options
 from sfmrl.session import choose, drawn
 
 app = typer.Typer()
@@ -34,7 +34,6 @@ def evaluate_command(
     csv: Annotated[Path | None, option("write a line an episode, or a value of a sweep, to this file")] = None,
     overwrite: Overwrite = False,
     threads: Threads = None,
-    device: Device = "cpu",
     *,
     settings: dict[str, Any],
 ) -> None:
@@ -47,7 +46,7 @@ def evaluate_command(
     sweeps = [parse_sweep(text) for text in sweep or []]
     new_file(csv, "csv", overwrite)
     asked = drawn(map_file, environment)
-    chosen, name, config = choose(policy, settings, threads, device)
+    chosen, name, config = choose(policy, settings, threads)
     environment = config.reinforcement.test_environment if asked is None else asked
     how = {"environment": environment, "episodes": episodes, "seed": seed}
     how |= {"reward": config.reward, "simulation": config.simulation, "progress": show_progress(err)}
@@ -95,7 +94,6 @@ def compare_command(
     csv: Annotated[Path | None, option("write a line an episode of each policy to this file")] = None,
     overwrite: Overwrite = False,
     threads: Threads = None,
-    device: Device = "cpu",
     *,
     settings: dict[str, Any],
 ) -> None:
@@ -112,7 +110,7 @@ def compare_command(
         raise ConfigError(f"compare takes two or more different policies; it got {', '.join(policies)}")
     new_file(csv, "csv", overwrite)
     environment = drawn(map_file, environment)
-    chosen = [choose(policy, settings, threads, device) for policy in policies]
+    chosen = [choose(policy, settings, threads) for policy in policies]
     first = chosen[0][2]
     environment = first.reinforcement.test_environment if environment is None else environment
     how = {"environment": environment, "episodes": episodes, "seed": seed}

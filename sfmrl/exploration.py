@@ -21,7 +21,7 @@ import torch
 from sfmrl.actions import ACTIONS
 from sfmrl.config import Config, Reinforcement
 from sfmrl.crowd import World
-from sfmrl.episodes import Record, play_episodes, potentials, returns_of
+from sfmrl.episodes import Record, play_episodes, returns_of
 from sfmrl.learner import Learner
 from sfmrl.lookahead import SarlPolicy, step_discount
 from sfmrl.network import ValueNetwork, new_network
@@ -119,9 +119,7 @@ def explore(policy: SarlPolicy, config: Config, episodes: Sequence[int]) -> Expl
             action[greedy] = policy(world.take(greedy), crowd_velocity[greedy])
         return action
 
-    record = play_episodes(
-        scenes, epsilon_greedy, config.reward, config.simulation, discount=config.discount, planner=policy.planner
-    )
+    record = play_episodes(scenes, epsilon_greedy, config.reward, config.simulation, discount=config.discount)
     return record, random_steps[:, : record.reward.shape[1]]
 
 
@@ -142,9 +140,8 @@ def remember(learner: Learner, record: Record, random_steps: np.ndarray) -> None
     # A state's value is asked of the target network where the step before it bootstraps from it.
     asked = random_steps & played if settings.targets == "returns" else played.copy()
     asked[:, 0] = False
-    base = potentials(record, config)
     guess = np.full(played.shape, np.nan)
     if asked.any():
-        guess[asked] = learner.target.evaluate(states[asked[played]])[0] + base[asked[played]]
+        guess[asked] = learner.target.evaluate(states[asked[played]])[0]
     step = step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation)
-    learner.memory.push(states, returns_of(record.reward, step, guess)[played] - base)
+    learner.memory.push(states, returns_of(record.reward, step, guess)[played])

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sfmrl.config import Config, ConfigError, Simulation
-from sfmrl.episodes import Record, play_episodes, potentials, returns_of, rewards_of
+from sfmrl.episodes import Record, play_episodes, returns_of, rewards_of
 from sfmrl.files import read_checked, write_atomically
 from sfmrl.learning import Fit, torch_threads
 from sfmrl.lookahead import step_discount
@@ -29,7 +29,7 @@ from sfmrl.stopping import Interrupted, StopSignal
 DEMONSTRATIONS = "demonstrations.npz"
 
 
-def imitate(run: Run, progress: Progress, stop: StopSignal, *, threads: int = 1, device: str = "cpu") -> ValueNetwork:
+def imitate(run: Run, progress: Progress, stop: StopSignal, *, threads: int = 1) -> ValueNetwork:
     """Run or go on with an imitation run to its end; raises Interrupted once `stop` has been requested."""
     config = run.config
     path = run.folder / DEMONSTRATIONS
@@ -37,7 +37,7 @@ def imitate(run: Run, progress: Progress, stop: StopSignal, *, threads: int = 1,
         save_demonstrations(demonstrate(config, stop.watch(progress)), path)
     memory = make_memory(config)
     fill_memory(memory, load_demonstrations(path, config.simulation), config)
-    fit = new_fit(config, device)
+    fit = new_fit(config)
     saved = run.load_checkpoint()
     rows = saved["rows"] if saved else []
     if saved:
@@ -78,12 +78,12 @@ def fill_memory(memory: Memory, record: Record, config: Config) -> None:
     returns = returns_of(rewards, step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation))
     if not len(record.steps):
         raise ConfigError("every demonstration ended in a time-out, and those are not learnt from; allow more time")
-    memory.push(record.states(config.forces), returns[record.played] - potentials(record, config))
+    memory.push(record.states(config.forces), returns[record.played])
 
 
-def new_fit(config: Config, device: str) -> Fit:
-    """Imitation at its start: a network drawn from the config's seed, on `device`."""
-    network = new_network(config, config.seed).to(device)
+def new_fit(config: Config) -> Fit:
+    """Imitation at its start: a network drawn from the config's seed."""
+    network = new_network(config, config.seed)
     return Fit(network, config.imitation, generator(config.seed, "fit"))
 
 

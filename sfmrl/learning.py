@@ -63,8 +63,7 @@ def learn(
     network: ValueNetwork, optimizer: torch.optim.Optimizer, rate: float, states: Tensor, values: Tensor
 ) -> Tensor:
     """One step of descent at learning rate `rate` on states (B, K, F) and values (B,); returns the loss, a scalar."""
-    device = network.device
-    loss, _ = loss_and_gradients(network, states.to(device), values.to(device))
+    loss, _ = loss_and_gradients(network, states, values)
     _descend(optimizer, network.flat, rate)
     return loss
 

@@ -14,7 +14,7 @@ import numpy as np
 from sfmrl.actions import ACTIONS, best_untrapped
 from sfmrl.config import Config, Simulation
 from sfmrl.crowd import World, transition
-from sfmrl.rewards import COLLISION, RUNNING, reward_terms, total
+from sfmrl.rewards import COLLISION, reward_terms, total
 from sfmrl.states import robot_states
 
 # Episodes at most that are looked at together, by the network's precision: few enough for the processor's cache, and
@@ -48,7 +48,6 @@ class SarlPolicy:
         self.network, self.config = network, config
         self.threads = threads
         self.trap_steps = int(config.avoid_traps)  # how far ahead it looks for places that it could not leave
-        self.planner = config.planner if config.shaping == "geodesic" else None
         self._terms = reward_terms(config.reward)
         self._pool = worker_threads(threads)
 
@@ -95,9 +94,6 @@ class SarlPolicy:
         ahead = self.network.evaluate(states.reshape(-1, *states.shape[2:]))[0].reshape(reward.shape)
         if self.config.collision_ends:
             ahead = np.where(step.outcome == COLLISION, 0.0, ahead)
-        if self.planner:
-            going_on = step.outcome == RUNNING
-            ahead = ahead + np.where(going_on, potential(world, world.position[:, :1] + action * dt, self.config), 0.0)
         return reward + step_discount(self.config.discount, world.v_pref[:, :1], world.simulation) * ahead, step.outcome
 
 
@@ -114,17 +110,6 @@ def world_states(world: World, forces: bool) -> np.ndarray:
         world.radius[:, 1:],
         forces=forces,
     )
-
-
-def potential(world: World, position: np.ndarray, config: Config) -> np.ndarray:
-    """The geodesic shaping's potential at places (E, ..., 2) of the robot, (E, ...): gamma^(m to go), 1 at the goal.
-
-    A shaped reward is r + gamma^(dt v_pref) potential(next) - potential(now), with 0 where an episode has ended (Ng,
-    Harada and Russell, 1999). Its values are those of r less the potential, so that is how it is learnt.
-    """
-    many = (slice(None),) + (None,) * (position.ndim - 2)
-    left = world.geodesic_distance(position) - world.radius[:, 0][many]
-    return config.discount ** np.maximum(left, 0.0)
 
 
 def step_discount(discount: float, v_pref: np.ndarray, simulation: Simulation) -> np.ndarray:

@@ -34,9 +34,6 @@ def option(help: str, *flags: str, **extra: Any) -> Any:
 
 
 Threads = Annotated[int | None, option("threads to use (default one a core)", min=1)]
-Device = Annotated[
-    str, option("torch device: cpu, cuda, ... (default cpu)", autocompletion=completion.among("cpu", "cuda", "mps"))
-]
 RunFolder = Annotated[Path | None, option("run folder to make (default a new one under runs/)")]
 Resume = Annotated[
     Path | None,

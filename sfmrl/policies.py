@@ -48,7 +48,7 @@ def find_policy(policy: str | Policy) -> Policy:
     return load_policy(policy) if isinstance(policy, (str, Path)) else policy
 
 
-def load_policy(name_or_path: str | Path, threads: int | None = None, device: str = "cpu") -> Policy:
+def load_policy(name_or_path: str | Path, threads: int | None = None) -> Policy:
     """The policy of a name: linear, orca, sfm, a model that comes with sfmrl (sarl, sarl-sfm6, ...), a run folder, or a
     weights file (sfmrl's or a CrowdNav SARL's).
 
@@ -76,4 +76,4 @@ def load_policy(name_or_path: str | Path, threads: int | None = None, device: st
     from sfmrl.weights import load_weights  # torch takes seconds to import: only for those who need it
 
     network, config = load_weights(path)
-    return with_recovery(SarlPolicy(network.to(device), config, threads or available_cores()), config.planner)
+    return with_recovery(SarlPolicy(network, config, threads or available_cores()), config.planner)

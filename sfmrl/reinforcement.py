@@ -41,14 +41,13 @@ def reinforce(
     say: Callable[[str], None],
     *,
     threads: int = 1,
-    device: str = "cpu",
 ) -> dict[str, Any]:
     """Run or go on with a training to its end; returns the final test's metrics.
 
     Raises Interrupted, with a checkpoint just written, once `stop` has been requested.
     """
     config, settings = run.config, run.config.reinforcement
-    learner = begin(run, progress, stop, say, threads, device)
+    learner = begin(run, progress, stop, say, threads)
     run.write_table("metrics.csv", learner.rows)
     run.write_table("validation.csv", learner.validations)
     alone = SarlPolicy(learner.tested, config, threads)
@@ -64,7 +63,7 @@ def reinforce(
             progress=stop.watch(progress),
         )
 
-    aside = settings.overlap and threads > 1 and learner.network.device.type == "cpu"
+    aside = settings.overlap and threads > 1
     with Explorer(config, threads - aside, aside) as explorer:
         while True:
             if due(learner, settings):
@@ -89,7 +88,7 @@ def reinforce(
         best = best_validation(learner.validations)
         if best["episode"] != learner.episode:
             network, _ = load_weights(run.folder / BEST)
-            record = play("test", settings.test_episodes, SarlPolicy(network.to(device), config, threads))
+            record = play("test", settings.test_episodes, SarlPolicy(network, config, threads))
         run.write_table("test-best.csv", episode_rows(record))
         result["best_validation"] = {"episode": best["episode"]} | metrics(record)
     run.write_json("result.json", result)
@@ -177,17 +176,15 @@ def fits(folder: Path, config: Config) -> bool:
     return run.finished and same
 
 
-def begin(
-    run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], None], threads: int, device: str
-) -> Learner:
+def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], None], threads: int) -> Learner:
     """The training where it was left, or at its start: after imitation, refitted where reward or state differ."""
     config, saved = run.config, run.load_checkpoint()
     memory = make_memory(config)
     if saved and "fit" not in saved:
-        learner = Learner(new_network(config).to(device), memory, config)
+        learner = Learner(new_network(config), memory, config)
         learner.load_state_dict(saved)
         return learner
-    fit = new_fit(config, device)
+    fit = new_fit(config)
     if run.imitation is None:
         return Learner(fit.network, memory, config)
     source = run.imitation
@@ -199,7 +196,7 @@ def begin(
     fill_memory(memory, load_demonstrations(demonstrations, config.simulation), config)
     network, learnt_under = load_weights(source / WEIGHTS)
     if same_task(learnt_under, config):
-        return Learner(network.to(device), memory, config)
+        return Learner(network, memory, config)
 
     if saved:
         fit.load_state_dict(saved["fit"])
@@ -219,8 +216,8 @@ def same_task(one: Config, other: Config) -> bool:
     """Whether a network fitted under one config is what the other would have fitted to the same demonstrations."""
     return all(
         getattr(one, name) == getattr(other, name)
-        for name in ("forces", "precision", "discount", "value_prior", "shaping", "reward", "imitation")
-    ) and (one.shaping == "none" or one.planner == other.planner)
+        for name in ("forces", "precision", "discount", "value_prior", "reward", "imitation")
+    )
 
 
 def best_validation(validations: list[dict[str, Any]]) -> dict[str, Any]:

@@ -26,7 +26,7 @@ def reopen(kind: str, folder: Path, given: list[Any]) -> Any:
     from sfmrl.runs import open_run
 
     if any(value is not None for value in given):
-        raise ConfigError(f"--resume takes every setting from {folder}; leave out all but --threads and --device")
+        raise ConfigError(f"--resume takes every setting from {folder}; leave out all but --threads")
     return open_run(folder, kind)
 
 
@@ -44,17 +44,6 @@ def finished(run: Any) -> bool:
     if run.finished:
         say(f"{run.folder} is finished already")
     return run.finished
-
-
-def usable(device: str) -> str:
-    """The name of a torch device, once something has been put there."""
-    import torch
-
-    try:
-        torch.zeros(1, device=device)
-    except (RuntimeError, AssertionError, NotImplementedError) as error:
-        raise ConfigError(f"torch cannot use the device {device!r} here; --device cpu always works") from error
-    return device
 
 
 def use_threads(threads: int | None) -> int:
@@ -89,13 +78,13 @@ def train(run: Any, work: Callable[..., Any]) -> Any:
             raise typer.Exit(130) from None
 
 
-def choose(policy: str | None, settings: dict[str, Any], threads: int | None, device: str) -> tuple[Any, str, Config]:
+def choose(policy: str | None, settings: dict[str, Any], threads: int | None) -> tuple[Any, str, Config]:
     """The policy to play, its name, and its config with the options that were given."""
     from sfmrl.policies import POLICIES, load_policy
     from sfmrl.recovery import with_recovery
 
     name = policy or newest()
-    chosen = load_policy(name) if name in POLICIES else load_policy(name, use_threads(threads), usable(device))
+    chosen = load_policy(name) if name in POLICIES else load_policy(name, use_threads(threads))
     config = override(getattr(chosen, "config", Config()), settings)
     return with_recovery(chosen, config.planner), name, config
 

@@ -10,7 +10,7 @@ import typer
 from sfmrl import completion
 from sfmrl.console import err, new_file, out, say, say_finding, say_result
 from sfmrl.files import csv_text
-from sfmrl.options import Device, Environment, MapFile, Overwrite, PolicyName, Threads, option, settings_options
+from sfmrl.options import Environment, MapFile, Overwrite, PolicyName, Threads, option, settings_options
 from sfmrl.session import choose, drawn, use_threads
 
 app = typer.Typer()
@@ -32,7 +32,6 @@ def explain(
     csv: Annotated[Path | None, option("write a line a step, all numbers, to this file")] = None,
     overwrite: Overwrite = False,
     threads: Threads = None,
-    device: Device = "cpu",
     *,
     settings: dict[str, Any],
 ) -> None:
@@ -44,7 +43,7 @@ def explain(
 
     new_file(csv, "csv", overwrite)
     environment = drawn(map_file, environment)
-    chosen, name, config = choose(policy, settings, threads, device)
+    chosen, name, config = choose(policy, settings, threads)
     environment = config.reinforcement.test_environment if environment is None else environment
     scene = sample_scenes(environment, [episode], seed)
     record = play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount)

@@ -10,7 +10,6 @@ from sfmrl.config import Config, ConfigError
 from sfmrl.console import print_metrics, say
 from sfmrl.options import (
     Continue,
-    Device,
     MapFile,
     Overwrite,
     Resume,
@@ -20,7 +19,7 @@ from sfmrl.options import (
     option,
     settings_options,
 )
-from sfmrl.session import drawn, existing, finished, new_config, reopen, train, usable, use_threads
+from sfmrl.session import drawn, existing, finished, new_config, reopen, train, use_threads
 
 app = typer.Typer()
 
@@ -34,7 +33,6 @@ def il(
     overwrite: Overwrite = False,
     go_on: Continue = False,
     threads: Threads = None,
-    device: Device = "cpu",
     *,
     settings: dict[str, Any],
 ) -> None:
@@ -43,14 +41,13 @@ def il(
     from sfmrl.runs import create_run
 
     workers = use_threads(threads)
-    device = usable(device)
     if resume:
         current = reopen("il", resume, [variant, run, overwrite or None, go_on or None, *settings.values()])
     else:
         current = create_run("il", new_config(variant, settings), run, **existing(run, overwrite, go_on))
     if go_on and finished(current):
         return
-    train(current, lambda progress, stop: imitate(current, progress, stop, threads=workers, device=device))
+    train(current, lambda progress, stop: imitate(current, progress, stop, threads=workers))
     plain, config = Config(), current.config
     flags = "".join(
         f" --{name} {getattr(config, name)}"
@@ -79,7 +76,6 @@ def rl(
     overwrite: Overwrite = False,
     go_on: Continue = False,
     threads: Threads = None,
-    device: Device = "cpu",
     *,
     settings: dict[str, Any],
 ) -> None:
@@ -89,7 +85,6 @@ def rl(
     from sfmrl.scenarios import label, sample_scenes
 
     workers = use_threads(threads)
-    device = usable(device)
     if resume:
         flags = (from_scratch or None, overwrite or None, go_on or None)
         current = reopen("rl", resume, [variant, source, map_file, run, *flags, *settings.values()])
@@ -108,9 +103,7 @@ def rl(
         return
     if current.imitation:
         say(f"from imitation run {current.imitation}")
-    result = train(
-        current, lambda progress, stop: reinforce(current, progress, stop, say, threads=workers, device=device)
-    )
+    result = train(current, lambda progress, stop: reinforce(current, progress, stop, say, threads=workers))
     title = f"{current.folder}, environment {label(current.config.reinforcement.test_environment)}"
     print_metrics(result, f"test of {title}, the network alone")
     if "with_recovery" in result:

@@ -64,8 +64,6 @@ def make_config(preset: str = "quick", variant: str = "sarl", **changes: Any) ->
         if name not in table:
             raise ConfigError(f"there is no {kind} {name!r}; choose {', '.join(table)}{suggest(name, table)}")
     named = override(override(Config(), PRESETS[preset]), VARIANTS[variant])
-    if changes.get("shaping", "none") != "none":
-        changes = {"value_prior": False} | changes  # the potential takes its place
     return override(named, changes)
 
 

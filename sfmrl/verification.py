@@ -7,7 +7,6 @@ import hashlib
 import shlex
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -72,9 +71,6 @@ def _versions(run: Run) -> str | Finding:
     found = [f"{name} {made.get(name)}, here {here[name]}" for name in DECIDING if made.get(name) != here[name]]
     if run.config.precision == "bf16" and resolved("auto") != "bf16":
         found.append("trained in bfloat16, which this processor does not have")
-    device = dict(pairwise(shlex.split(run.facts["command"]))).get("--device", "cpu")
-    if device != "cpu":
-        found.append(f"trained on {device}, here on the CPU")
     if found:
         return Finding("versions", None, f"{'; '.join(found)}: numbers may differ here")
     return "those of the run, so its numbers must be the same here"

@@ -263,7 +263,7 @@ def episodes_of_training() -> None:
 
 def taught(config: Config) -> Learner:
     """A learner after imitation."""
-    memory, fit = make_memory(config), new_fit(config, "cpu")
+    memory, fit = make_memory(config), new_fit(config)
     fill_memory(memory, demonstrate(config, no_progress), config)
     fit_memory(fit, memory, no_progress, lambda row: None, CORES)
     return Learner(fit.network, memory, config)

@@ -320,7 +320,7 @@ def test_imitation_improves_on_the_untrained_network():
     def held_out_error(network: ValueNetwork) -> float:
         return float(np.mean((network.evaluate(states.numpy())[0] - values.numpy()) ** 2))
 
-    fit = new_fit(config, "cpu")
+    fit = new_fit(config)
     before = held_out_error(fit.network)
     rows = []
     fit_memory(fit, memory, no_progress, rows.append)
@@ -329,5 +329,5 @@ def test_imitation_improves_on_the_untrained_network():
 
     task = {"environment": "circle", "episodes": 12, "simulation": Simulation(time_limit=15.0)}
     fitted = evaluate(SarlPolicy(fit.network, config), **task)
-    untrained = evaluate(SarlPolicy(new_fit(config, "cpu").network, config), **task)
+    untrained = evaluate(SarlPolicy(new_fit(config).network, config), **task)
     assert fitted["success"] >= untrained["success"] + 0.5

@@ -1,4 +1,4 @@
-"""Ways around squares, against straight lines, circles' tangents and a queue of our own; and shaping by them."""
+"""Ways around squares, against straight lines, circles' tangents and a queue of our own."""
 
 import heapq
 import math
@@ -7,13 +7,9 @@ import numpy as np
 import pytest
 
 from sfmrl import planner as planner_module
-from sfmrl.config import Config, ConfigError, Planner
-from sfmrl.crowd import reset
-from sfmrl.episodes import play, potentials, returns_of
-from sfmrl.lookahead import potential
+from sfmrl.config import Planner
 from sfmrl.planner import plan, solvable
 from sfmrl.scenarios import Scenes, sample_scenes
-from sfmrl.variants import make_config
 
 
 def among_squares(*squares: tuple[float, float], goal=(0.0, 4.0)) -> Scenes:
@@ -118,69 +114,3 @@ def test_a_closed_room_is_named_unsolvable_and_the_twenty_layouts_are_not():
 def test_places_inside_squares_have_finite_distances_that_fall_outwards():
     middle, edge, out = distances(among_squares((0, 0)), [(0.0, 0.0), (0.4, 0.0), (0.9, 0.0)])
     assert middle > edge > out > 3.9
-
-
-# Shaping
-
-
-def test_the_potential_is_a_power_of_the_way_and_one_at_the_goal():
-    scenes = among_squares((0, 0))
-    world, config = reset(scenes, planner=Planner()), Config(shaping="geodesic")
-    places = np.array([[[0, -4], [0, 3.9], [0, 4], [0, 2]]], dtype=float)
-    way = world.geodesic_distance(places)
-    np.testing.assert_allclose(potential(world, places, config), 0.9 ** np.maximum(way - 0.3, 0))
-    np.testing.assert_allclose(potential(world, places, config)[0, 1:3], 1.0)
-
-
-def test_shaped_returns_are_the_plain_ones_less_the_potential():
-    """What is learnt is the discounted sum of r + gamma potential(next) - potential(now), summed step by step."""
-    config = make_config("quick", shaping="geodesic")
-    record = play(sample_scenes("table1", 12), "orca", reward="sfm")
-    base = np.full(record.played.shape, np.nan)
-    base[record.played] = potentials(record, config)
-    gamma = config.discount**record.simulation.time_step
-    after = np.concatenate((base[:, 1:], np.full((12, 1), np.nan)), axis=1)
-    shaped = record.reward + gamma * np.nan_to_num(after) - base  # after the end the potential is 0
-    step = np.full(12, gamma)
-    returns = returns_of(record.reward, step)
-    np.testing.assert_allclose(returns_of(shaped, step)[record.played], (returns - base)[record.played], atol=1e-12)
-    assert not potentials(record, make_config("quick")).any()
-
-
-def test_the_best_policy_of_a_tiny_problem_is_the_same_with_and_without_shaping():
-    """Ng, Harada and Russell's theorem, by value iteration on a maze with slips whose goal lies behind a wall."""
-    scenes = among_squares((-0.6, 0), (0, 0), (0.6, 0), goal=(0.0, 1.5))
-    world, config = reset(scenes, planner=Planner()), Config(shaping="geodesic")
-    x, y = np.meshgrid(np.arange(-2, 2.1, 0.5), np.arange(-1.5, 1.6, 0.5))
-    cells = np.stack((x.ravel(), y.ravel()), -1)
-    wall = (np.abs(cells[:, 0]) < 1.2) & (np.abs(cells[:, 1]) < 0.6)
-    goal = np.hypot(*(cells - (0.0, 1.5)).T) < 0.3
-    moves = [(0, 0), (0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5)]
-    where = {tuple(cell): k for k, cell in enumerate(cells.round(6))}
-    lands = np.array([[where.get(tuple((c + m).round(6)), k) for m in moves] for k, c in enumerate(cells)])
-    lands = np.where(wall[lands], np.arange(len(cells))[:, None], lands)
-    chance = np.full((len(moves), len(moves)), 0.05) + np.eye(len(moves)) * 0.75  # of another move than the one meant
-
-    base = np.where(goal, 0.0, potential(world, cells[None], config)[0])
-    rewards = np.where(goal[lands], 1.0, -0.01)
-    gamma, best = 0.9**0.5, {}
-    for name, reward in (("plain", rewards), ("shaped", rewards + gamma * base[lands] - base[:, None])):
-        value = np.zeros(len(cells))
-        for _ in range(1000):
-            each = reward + gamma * value[lands]
-            action = each @ chance.T
-            value = np.where(goal | wall, 0.0, action.max(1))
-        best[name] = action, value
-    open_cells = ~goal & ~wall
-    shift = best["plain"][1] - best["shaped"][1]
-    np.testing.assert_allclose(shift[open_cells], base[open_cells], atol=1e-9)
-    for plain, shaped in zip(best["plain"][0][open_cells], best["shaped"][0][open_cells], strict=True):
-        np.testing.assert_array_equal(plain > plain.max() - 1e-9, shaped > shaped.max() - 1e-9)
-    assert np.ptp(base[open_cells]) > 0.1  # the potential is no constant
-
-
-def test_shaping_takes_the_place_of_the_value_prior():
-    assert make_config("quick").value_prior
-    assert not make_config("quick", shaping="geodesic").value_prior
-    with pytest.raises(ConfigError, match="leave out one"):
-        make_config("quick", shaping="geodesic", value_prior=True)
