@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 
+from sfmrl.config import counted
 from sfmrl.folders import finished
 from sfmrl.progress import Progress
 from sfmrl.stopping import Interrupted, StopSignal
@@ -74,7 +75,7 @@ def without_blocked(waiting: list[Job], failed: list[Job]) -> list[Job]:
 def report(failed: list[Job]) -> None:
     """Raises Failed, naming them, where there are any."""
     if failed:
-        raise Failed(f"{len(failed)} trainings failed: {', '.join(job.name for job in failed)}")
+        raise Failed(f"{counted(len(failed), 'training')} failed: {', '.join(job.name for job in failed)}")
 
 
 def _start(job: Job) -> subprocess.Popen:

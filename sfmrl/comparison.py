@@ -1,27 +1,28 @@
-"""Policies on the same episodes: who succeeds where others fail, and how sure the differences are."""
+"""Compare policies on the same episodes: where one succeeds and others fail, and how sure the differences are."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from sfmrl.config import ConfigError
+from sfmrl.config import ConfigError, counted
 from sfmrl.episodes import Record
 from sfmrl.evaluation import RATES, episode_rows, metrics
-from sfmrl.intervals import holm, paired_difference
+from sfmrl.intervals import episode_difference, holm, success_difference
 from sfmrl.lookahead import Policy
-from sfmrl.reports import Sheet, p_value, rate
+from sfmrl.reports import Sheet, between, p_value, rate, seconds
 
 LISTED = 20  # differing episodes that the terminal shows; JSON has all
 
 
 def compare(records: Sequence[Record], policies: Sequence[Policy], names: Sequence[str]) -> dict[str, Any]:
-    """What records of the same test episodes say of their policies; plain values, ready for JSON.
+    """Compare the records of policies that played the same test episodes; returns plain values, ready for JSON.
 
-    `policies`: each one's metrics, and for all but the first the differences from the first: `success`, and the
-    `navigation_time` (s) of the episodes in which both succeed, each with a 95 % interval over episodes, the p-value of
-    no difference and the same by Holm for all the policies compared. `differing`: the episodes in which not all
-    policies, or none, succeed. Raises ConfigError unless the episodes are the same.
+    `policies` holds the metrics of each, and for all but the first the differences from the first: in `success`, and in
+    the `navigation_time` (s) of the episodes in which both succeed. Each has a 95 % interval over episodes (None where
+    episodes are too few), the p-value of no difference, and the same by Holm for all policies compared. `differing`
+    lists the episodes in which some policies succeed and some do not. Raises ConfigError unless the episodes are the
+    same.
     """
     first = records[0]
     for record in records:
@@ -42,19 +43,20 @@ def compare(records: Sequence[Record], policies: Sequence[Policy], names: Sequen
 
 
 def _difference(record: Record, first: Record) -> dict[str, Any]:
-    """A record's success and navigation time less the first's; None for the time where both never succeed."""
+    """A record's success and navigation time less the first's; None for the time where they share no success."""
     ours, theirs = (r.outcome == "success" for r in (record, first))
     both = ours & theirs
-    times = [r.time[both][None] for r in (record, first)]
-    found = {
-        "success": vars(paired_difference(ours[None], theirs[None], np.random.default_rng(0))),
-        "navigation_time": vars(paired_difference(*times, np.random.default_rng(0))) if both.any() else None,
+    only_this, only_first = int((ours & ~theirs).sum()), int((theirs & ~ours).sum())
+    return {
+        "success": vars(success_difference(only_this, only_first, len(ours))),
+        "navigation_time": vars(episode_difference((record.time - first.time)[both])) if both.any() else None,
+        "only_this": only_this,
+        "only_first": only_first,
     }
-    return found | {"only_this": int((ours & ~theirs).sum()), "only_first": int((theirs & ~ours).sum())}
 
 
 def _differing(records: Sequence[Record], names: Sequence[str]) -> list[dict[str, Any]]:
-    """Episodes in which some succeed and some fail, with every policy's outcome."""
+    """List the episodes in which some policies succeed and some fail, with every policy's outcome."""
     success = np.array([record.outcome == "success" for record in records])
     where = np.flatnonzero(success.any(axis=0) & ~success.all(axis=0))
     scenes = records[0].scenes
@@ -69,12 +71,12 @@ def _differing(records: Sequence[Record], names: Sequence[str]) -> list[dict[str
 
 
 def comparison_rows(records: Sequence[Record], names: Sequence[str]) -> list[dict[str, Any]]:
-    """A line for each episode of each policy, for a CSV file."""
+    """Return a line for each episode of each policy, for a CSV file."""
     return [{"policy": n} | row for n, record in zip(names, records, strict=True) for row in episode_rows(record)]
 
 
 def comparison_sheets(found: dict[str, Any], title: str) -> list[Sheet]:
-    """What `compare` found, for the terminal."""
+    """Return the result of `compare` as sheets for the terminal."""
     first, *others = found["policies"]
     rates = []
     for row in found["policies"]:
@@ -86,11 +88,11 @@ def comparison_sheets(found: dict[str, Any], title: str) -> list[Sheet]:
     for row in others:
         gap = row["less_first"]
         success, time = gap["success"], gap["navigation_time"]
-        slower = "-" if time is None else f"{time['mean']:.2f} ({time['low']:.2f} to {time['high']:.2f})"
+        slower = "-" if time is None else f"{time['mean']:.2f} ({between(time['low'], time['high'], seconds)})"
         gaps.append(
             (
                 row["policy"],
-                f"{rate(success['mean'])} ({rate(success['low'])} to {rate(success['high'])})",
+                f"{rate(success['mean'])} ({between(success['low'], success['high'])})",
                 p_value(success["p_holm"]),
                 str(gap["only_this"]),
                 str(gap["only_first"]),
@@ -106,7 +108,7 @@ def comparison_sheets(found: dict[str, Any], title: str) -> list[Sheet]:
         Sheet(f"Differences from {first['policy']}, with 95 % intervals over episodes", less, gaps),
     ]
     if lines:
-        count = f"{len(lines)} episodes" + (f", the first {LISTED}" if len(lines) > LISTED else "")
+        count = counted(len(lines), "episode") + (f", the first {LISTED}" if len(lines) > LISTED else "")
         sheets.append(
             Sheet(f"Where some succeed and some do not: {count}", ("episode", "env.", *names), lines[:LISTED])
         )

@@ -55,6 +55,11 @@ def _check(config: Any) -> None:
             )
 
 
+def counted(number: int, noun: str) -> str:
+    """Write a number with its noun in singular or plural: "1 episode", "2 episodes"."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")
+
+
 def suggest(word: Any, known: Any) -> str:
     """The end of an error message: "; did you mean ...?" where a known word is close, else nothing."""
     close = difflib.get_close_matches(str(word), [str(item) for item in known], n=1)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sfmrl.config import ConfigError, suggest
+from sfmrl.config import ConfigError, counted, suggest
 from sfmrl.console import err, new_file, print_metrics, print_sheet, print_sweep, replay_command, say, say_result
 from sfmrl.files import csv_text
 from sfmrl.options import Environment, MapFile, Overwrite, PolicyName, Threads, option, settings_options
@@ -51,7 +51,7 @@ def evaluate_command(
     how = {"environment": environment, "episodes": episodes, "seed": seed}
     how |= {"reward": config.reward, "simulation": config.simulation, "progress": show_progress(err)}
     where = f"map {map_file}" if map_file else f"environment {label(environment)}"
-    title = f"{name}, {where}, {episodes} episodes, seed {seed}"
+    title = f"{name}, {where}, {counted(episodes, 'episode')}, seed {seed}"
     if sweeps:
         rows = sweep_rows(chosen, sweeps, **how)
         if csv:
@@ -76,7 +76,7 @@ def evaluate_command(
         if asked is None and environment != label(environment):
             place = None  # a run has its map with it
         see = replay_command(policy, place, seed, failed[0], settings)
-        say(f"{len(failed)} episodes ({listed}) failed; see one: {see}")
+        say(f"{counted(len(failed), 'episode')} ({listed}) failed; see one: {see}")
         no_way = [str(failure["episode"]) for failure in result["failures"] if not failure["solvable"]]
         if no_way:
             say(f"unsolvable, the squares leave no way to the goal: {', '.join(no_way[:12])}")
@@ -123,7 +123,7 @@ def compare_command(
         say_result(json.dumps({"environment": environment, "seed": seed} | found, indent=2))
         return
     where = f"map {map_file}" if map_file else f"environment {label(environment)}"
-    for sheet in comparison_sheets(found, f"{where}, {episodes} episodes, seed {seed}"):
+    for sheet in comparison_sheets(found, f"{where}, {counted(episodes, 'episode')}, seed {seed}"):
         print_sheet(sheet)
     if found["differing"]:
         number, outcomes = found["differing"][0]["episode"], found["differing"][0]["outcomes"]

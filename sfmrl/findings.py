@@ -1,31 +1,49 @@
-"""What a table's runs say: means over seeds with intervals, differences from SARL, and how the paper's figures fit in.
+"""Summarise a table's runs: means over seeds with 95 % intervals, differences from SARL, and the paper beside them.
 
-Everything random here is resampling, from a fixed seed: the same folders give the same numbers.
+All statistics follow from one value per seed and metric (`Figures`), which a table's CSV file holds, too. Differences
+are paired by seed. Intervals say what other training seeds would change on the same test episodes.
 """
 
+import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from sfmrl.intervals import holm, mean_interval, new_runs, paired_difference, percentiles, wilson
+from sfmrl.intervals import holm, mean_difference, mean_interval, next_run, wilson
 from sfmrl.results import Trained
 from sfmrl.tables import Table
 
 TIME_CHARGED = 25.0  # s, what a time-out costs in the navigation time that counts them
-SEEDS_NEEDED = 3  # fewer say nothing of their spread
-WIDEST = 0.1  # an expected range of success wider than this excludes nothing of interest
+SEEDS_NEEDED = 5  # for a verdict on the paper
+WIDEST = 0.1  # a wider range of expected success is no basis for a verdict
+RATES = {"success", "human_collision", "square_collision", "timeout", "best_success", "start_success"}  # from 0 to 1
+RATES |= {"early_success", "early_training_success", "drops"}
 
 
-def figures(tested: Trained) -> dict[str, np.ndarray]:
-    """The metrics of every seed by name, each (S,); NaN where there is nothing to take a mean of.
+@dataclass(frozen=True)
+class Figures:
+    """A row's metrics, one value per seed: `values` holds an array (S,) for each metric's name, NaN for no value."""
 
-    Success and the three that follow add up to 1. `navigation_time` is over successes, as in the paper; with
-    `navigation_time_charged` a time-out counts as 25 s.
+    seeds: list[int]
+    test_episodes: int
+    values: dict[str, np.ndarray]
+
+    def of(self, metric: str, seeds: list[int]) -> np.ndarray:
+        """A metric's values for these seeds, in their order."""
+        return self.values[metric][[self.seeds.index(seed) for seed in seeds]]
+
+
+def figures(tested: Trained) -> Figures:
+    """Compute the metrics of every seed from its test episodes and the course of its training.
+
+    Success and the next three metrics add up to 1. `navigation_time` (s) is the mean over successes, as in the paper;
+    `navigation_time_charged` includes time-outs, each as 25 s.
     """
     reached, steps = tested.reached
     success, timeout = tested.success, tested.outcome == "timeout"
     charged = np.where(timeout, TIME_CHARGED, tested.time)
-    return {
+    values = {
         "success": success.mean(axis=1),
         "human_collision": (tested.hit == "human").mean(axis=1),
         "square_collision": (tested.hit == "square").mean(axis=1),
@@ -42,6 +60,7 @@ def figures(tested: Trained) -> dict[str, np.ndarray]:
         "reached_episodes": reached,
         "reached_steps": steps,
     }
+    return Figures(tested.seeds, tested.outcome.shape[1], values)
 
 
 def _mean_where(values: np.ndarray, where: np.ndarray) -> np.ndarray:
@@ -50,24 +69,22 @@ def _mean_where(values: np.ndarray, where: np.ndarray) -> np.ndarray:
     return np.divide((values * where).sum(axis=1), count, out=np.full(len(values), np.nan), where=count > 0)
 
 
-def summarise(table: Table, rows: dict[str, Trained]) -> list[dict[str, Any]]:
-    """A row's name, the paper's figures and ours; plain values, ready for JSON, None where there is none."""
+def summarise(table: Table, rows: dict[str, Figures]) -> list[dict[str, Any]]:
+    """Return each row's name, the paper's figures and ours as plain values, ready for JSON; None for no value."""
     found = []
-    for name, tested in rows.items():
-        rng = np.random.default_rng(0)
-        by_seed = figures(tested)
-        successes, trials = tested.success.sum(axis=1), tested.outcome.shape[1]
+    for name, row in rows.items():
+        hits = np.round(row.values["success"] * row.test_episodes)
         found.append(
             {
                 "row": name,
                 "paper": table.paper[name],
-                "seeds": tested.seeds,
-                "test_episodes": trials,
-                "figures": {metric: _over_seeds(values, rng) for metric, values in by_seed.items()},
-                "wilson": [list(wilson(int(hits), trials)) for hits in successes],
-                "wilson_of_mean": list(wilson(round(successes.mean()), trials)),
-                **_verdict(table, name, by_seed["success"], rng),
-                **_from_sarl(table, name, rows, rng),
+                "seeds": row.seeds,
+                "test_episodes": row.test_episodes,
+                "figures": {metric: _over_seeds(v, metric in RATES) for metric, v in row.values.items()},
+                "wilson": [list(wilson(int(count), row.test_episodes)) for count in hits],
+                "wilson_of_mean": list(wilson(round(hits.mean()), row.test_episodes)),
+                **_verdict(table, name, row.values["success"]),
+                "difference": _from_sarl(table, name, rows),
             }
         )
     compared = [row["difference"] for row in found if row["difference"]]
@@ -76,58 +93,57 @@ def summarise(table: Table, rows: dict[str, Trained]) -> list[dict[str, Any]]:
     return found
 
 
-def _over_seeds(values: np.ndarray, rng: np.random.Generator) -> dict[str, Any]:
-    """Mean over the seeds that have a value, its bootstrap interval, their standard deviation, and every value."""
+def _over_seeds(values: np.ndarray, is_rate: bool = False) -> dict[str, Any]:
+    """Mean over the seeds that have a value, its 95 % interval, their standard deviation, and every value."""
     known = values[np.isfinite(values)]
-    low, high = mean_interval(known, rng)
-    deviation = known.std(ddof=1) if len(known) > 1 else np.nan
-    mean = known.mean() if len(known) else np.nan
-    numbers = {"mean": mean, "low": low, "high": high, "deviation": deviation}
-    return {n: _plain(v) for n, v in numbers.items()} | {"values": [_plain(v) for v in values]}
+    low, high = mean_interval(known, 0.0, 1.0) if is_rate else mean_interval(known)
+    mean = float(known.mean()) if len(known) else None
+    deviation = float(known.std(ddof=1)) if len(known) > 1 else None
+    every = [float(value) if np.isfinite(value) else None for value in values]
+    return {"mean": mean, "low": low, "high": high, "deviation": deviation, "values": every}
 
 
-def _plain(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _verdict(table: Table, name: str, rates: np.ndarray, rng: np.random.Generator) -> dict[str, Any]:
-    """Whether one more run of ours, tested on as many episodes as the paper's, might have had the paper's success."""
+def _verdict(table: Table, name: str, rates: np.ndarray) -> dict[str, Any]:
+    """Judge whether one more run of ours, tested on as many episodes as the paper's, could have the paper's success."""
     if len(rates) < SEEDS_NEEDED:
         return {"expected": None, "verdict": "inconclusive"}
-    low, high = percentiles(new_runs(rates, table.test_episodes, rng))
+    mean, half = next_run(rates, table.test_episodes)
+    low, high = max(mean - half, 0.0), min(mean + half, 1.0)
     return {"expected": [low, high], "verdict": _judge(low, high, table.paper[name]["success"])}
 
 
 def _judge(low: float, high: float, reported: tuple[float, ...]) -> str:
-    """Consistent, inconsistent or inconclusive; figures are held to the precision that they are reported with."""
+    """Return consistent, inconsistent or inconclusive; allows for the rounding of the reported figures."""
     half = 0.5 * 10.0 ** -max(len(f"{value:.6f}".rstrip("0").partition(".")[2]) for value in (*reported, 0.01))
     if all(low - half <= value <= high + half for value in reported):
         return "inconclusive" if high - low > WIDEST else "consistent"
     return "inconsistent"
 
 
-def _from_sarl(table: Table, name: str, rows: dict[str, Trained], rng: np.random.Generator) -> dict[str, Any]:
-    """The success that a row has over SARL, on the same episodes and seeds; nothing for SARL itself."""
-    nothing = {"difference": None}
+def _from_sarl(table: Table, name: str, rows: dict[str, Figures]) -> dict[str, Any] | None:
+    """A row's success less SARL's, paired by seed; None for SARL itself and where nothing can be paired."""
     if name == "sarl" or "sarl" not in rows:
-        return nothing
+        return None
     ours, sarl = rows[name], rows["sarl"]
     shared = [seed for seed in ours.seeds if seed in sarl.seeds]
-    if not shared or ours.outcome.shape[1] != sarl.outcome.shape[1]:
-        return nothing
-    one, other = (t.success[[t.seeds.index(seed) for seed in shared]] for t in (ours, sarl))
-    found = paired_difference(one, other, rng)
+    if not shared or ours.test_episodes != sarl.test_episodes:
+        return None
+    one, other = (row.of("success", shared) for row in (ours, sarl))
     reported = [np.mean(table.paper[row]["success"]) for row in (name, "sarl")]
-    difference = {**vars(found), "seeds": shared, "paper": float(reported[0] - reported[1]), "verdict": "inconclusive"}
+    difference = vars(mean_difference(one - other)) | {
+        "seeds": shared,
+        "paper": float(reported[0] - reported[1]),
+        "verdict": "inconclusive",
+    }
     if len(shared) >= SEEDS_NEEDED:
-        new = (new_runs(rates.mean(axis=1), table.test_episodes, rng) for rates in (one, other))
-        low, high = percentiles(next(new) - next(new))
+        (mean, half), (sarl_mean, sarl_half) = (next_run(rates, table.test_episodes) for rates in (one, other))
+        low, high = (mean - sarl_mean + sign * math.hypot(half, sarl_half) for sign in (-1, 1))
         difference |= {"expected": [low, high], "verdict": _judge(low, high, (difference["paper"],))}
-    return {"difference": difference}
+    return difference
 
 
-# What the paper says forces in the state and the SFM reward do, as differences between table 1's rows: the mean, over
-# the pairs, of the first less the second.
+# Two ingredients that the paper judges, as differences between table 1's rows: the mean, over the pairs, of the first
+# row less the second.
 CONTRASTS = {
     "forces in the state": (("sarl-sfm5", "sarl"), ("sarl-sfm6", "sarl-sfm2")),
     "SFM reward": (("sarl-sfm2", "sarl"), ("sarl-sfm6", "sarl-sfm5")),
@@ -143,22 +159,14 @@ CONTRASTED = (
 )
 
 
-def contrasts(rows: dict[str, Trained]) -> list[dict[str, Any]]:
-    """What forces in the state and the SFM reward change, with intervals over the seeds that all their rows have."""
+def contrasts(rows: dict[str, Figures]) -> list[dict[str, Any]]:
+    """Return the effects of forces in the state and of the SFM reward, paired by the seeds that all their rows have."""
     found = []
-    for what, pairs in CONTRASTS.items():
+    for ingredient, pairs in CONTRASTS.items():
         if not all(name in rows for pair in pairs for name in pair):
             continue
         shared = [s for s in rows["sarl"].seeds if all(s in rows[name].seeds for pair in pairs for name in pair)]
-        values = {name: figures(rows[name]) for pair in pairs for name in pair}
         for metric in CONTRASTED:
-            rng = np.random.default_rng(0)
-            by_seed = np.mean(
-                [_of(values, rows, a, metric, shared) - _of(values, rows, b, metric, shared) for a, b in pairs], axis=0
-            )
-            found.append({"of": what, "in": metric, **_over_seeds(by_seed, rng)})
+            by_seed = np.mean([rows[a].of(metric, shared) - rows[b].of(metric, shared) for a, b in pairs], axis=0)
+            found.append({"of": ingredient, "in": metric, **_over_seeds(by_seed)})
     return found
-
-
-def _of(values: dict, rows: dict[str, Trained], name: str, metric: str, seeds: list[int]) -> np.ndarray:
-    return values[name][metric][[rows[name].seeds.index(seed) for seed in seeds]]

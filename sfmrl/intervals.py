@@ -1,19 +1,24 @@
-"""How sure is a number: intervals of rates and of means over training seeds, and differences between policies.
+"""How sure is a number: 95 % intervals of rates and of means, and differences between policies with their p-values.
 
-Rates are from test episodes, which are the same for every policy and every training seed. So a difference is taken
-episode by episode, and what it would be with other seeds and other episodes is estimated by resampling both.
+Means over training seeds use Student's t; rates of test episodes Wilson's interval. Two policies that play the same
+episodes are compared in pairs: by Tango's interval and the exact sign (McNemar) test for their success, by Student's t
+for their times. Too few values have no interval (None), rather than one that pretends to be sure.
 """
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
-RESAMPLES = 10_000
-CHUNK = 1_000  # resamples held in memory at a time
+LEVEL = 0.95
+Z = 1.959964  # the normal distribution's quantile for LEVEL, two-sided
+FEW = 25  # below so many pairs, the exact sign test has a say on means, too
+EQUAL = 1e-9  # values within this range are the same but for rounding
+HALVINGS = 60  # of a bisection: to the last bits of a float
 
 
-def wilson(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
+def wilson(successes: int, trials: int, z: float = Z) -> tuple[float, float]:
     """The Wilson score interval of a rate, 95 % by default (Wilson, 1927)."""
     if trials == 0:
         return 0.0, 1.0
@@ -23,47 +28,120 @@ def wilson(successes: int, trials: int, z: float = 1.959964) -> tuple[float, flo
     return max(centre - half, 0.0), min(centre + half, 1.0)
 
 
-def mean_interval(values: np.ndarray, rng: np.random.Generator, level: float = 0.95) -> tuple[float, float]:
-    """The percentile bootstrap interval of the mean of `values` (S,), one a training seed (Efron, 1979).
+def t_within(t: float, degrees: int) -> float:
+    """P(|T| <= t) of Student's t with `degrees` of freedom (Abramowitz and Stegun, 26.7.3 and 26.7.4)."""
+    angle, odd = math.atan(t / math.sqrt(degrees)), degrees % 2
+    first = 0.0 if degrees == 1 else math.cos(angle) if odd else 1.0
+    k = np.arange(2 + odd, degrees, 2)
+    series = math.sin(angle) * first * (1 + float(np.cumprod((k - 1) / k * math.cos(angle) ** 2).sum()))
+    return 2 / math.pi * (angle + series) if odd else series
 
-    A single value says nothing of its spread: the interval is then (NaN, NaN), as it is of no value at all.
+
+@cache
+def t_quantile(degrees: int) -> float:
+    """The t for which P(|T| <= t) is 0.95, by bisection over the angle atan(t / sqrt(degrees))."""
+    low, high = 0.0, math.pi / 2
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        below = t_within(math.sqrt(degrees) * math.tan(middle), degrees) < LEVEL
+        low, high = (middle, high) if below else (low, middle)
+    return math.sqrt(degrees) * math.tan(low)
+
+
+def mean_interval(
+    values: np.ndarray, least: float = -math.inf, most: float = math.inf
+) -> tuple[float, float] | tuple[None, None]:
+    """Student's t interval of the mean of `values` (S,), cut to what is possible, `least` to `most`.
+
+    Fewer than two values, or equal ones, say nothing of their spread: the interval is then (None, None).
     """
     values = np.asarray(values, dtype=float)
-    if len(values) < 2:
-        return math.nan, math.nan
-    means = values[rng.integers(len(values), size=(RESAMPLES, len(values)))].mean(axis=1)
-    return percentiles(means, level)
+    if len(values) < 2 or np.ptp(values) < EQUAL:
+        return None, None
+    mean, half = float(values.mean()), t_quantile(len(values) - 1) * _standard_error(values)
+    return max(mean - half, least), min(mean + half, most)
+
+
+def _standard_error(values: np.ndarray) -> float:
+    return float(values.std(ddof=1)) / math.sqrt(len(values))
 
 
 @dataclass(frozen=True)
 class Difference:
-    """A mean difference, its interval, and the two-sided p-value of no difference."""
+    """A mean difference, its 95 % interval (None where there is none), and the two-sided p-value of no difference."""
 
     mean: float
-    low: float
-    high: float
+    low: float | None
+    high: float | None
     p: float
 
 
-def paired_difference(one: np.ndarray, other: np.ndarray, rng: np.random.Generator, level: float = 0.95) -> Difference:
-    """The mean of `one` - `other`, both (S, E): a row a training seed, a column a test episode.
+def mean_difference(gaps: np.ndarray) -> Difference:
+    """The mean of paired differences `gaps` (N,), N >= 1, with Student's t interval and the p-value of the t-test.
 
-    Seeds and then episodes are drawn with replacement, the same of both, so that all that seeds share with each other
-    (the episodes) and policies share with each other (seed's demonstrations, episodes) is kept (Owen, 2007). What is
-    chance in a single episode of a single seed is counted up to three times over: the interval errs on the wide side.
-    The p-value is twice the share of resamples on the far side of 0. With one seed only episodes are drawn.
+    Where there is no interval, p is the sign test's: 1 for a single pair.
     """
-    gaps = np.asarray(one, dtype=float) - np.asarray(other, dtype=float)
-    means = np.concatenate([_resampled(gaps, rng, min(CHUNK, RESAMPLES - at)) for at in range(0, RESAMPLES, CHUNK)])
-    below, above = (means <= 0).sum(), (means >= 0).sum()
-    p = min(1.0, 2 * (1 + min(below, above)) / (1 + RESAMPLES))
-    return Difference(float(gaps.mean()), *percentiles(means, level), float(p))
+    gaps = np.asarray(gaps, dtype=float)
+    mean, (low, high) = float(gaps.mean()), mean_interval(gaps)
+    if low is None:
+        return Difference(mean, None, None, _sign_test_of(gaps))
+    return Difference(mean, low, high, max(0.0, 1 - t_within(abs(mean) / _standard_error(gaps), len(gaps) - 1)))
 
 
-def _resampled(gaps: np.ndarray, rng: np.random.Generator, count: int) -> np.ndarray:
-    """So many resampled means of (S, E), (count,); how often each row and column is drawn is multinomial."""
-    by_seed, by_episode = (rng.multinomial(n, np.full(n, 1 / n), size=count) for n in gaps.shape)
-    return np.einsum("be,be->b", by_seed @ gaps, by_episode) / gaps.size
+def episode_difference(gaps: np.ndarray) -> Difference:
+    """`mean_difference` for episodes, whose gaps (N,) are in steps and far from normal.
+
+    Of fewer than 25 pairs, p is the larger one of the t-test's and the exact sign test's.
+    """
+    found = mean_difference(gaps)
+    if len(gaps) >= FEW:
+        return found
+    return _with_exact(found.mean, found.low, found.high, max(found.p, _sign_test_of(np.asarray(gaps))))
+
+
+def success_difference(only_one: int, only_other: int, episodes: int) -> Difference:
+    """The success rate of one policy less that of another in the same `episodes`.
+
+    `only_one` and `only_other` count the episodes in which one alone succeeds. The interval is Tango's (1998), p that
+    of the exact McNemar test, which is the sign test on the episodes that differ.
+    """
+    mean = (only_one - only_other) / episodes
+    limits = _tango(only_one, only_other, episodes, mean, 1.0), _tango(only_one, only_other, episodes, mean, -1.0)
+    return _with_exact(mean, limits[1], limits[0], sign_test(only_one, only_other))
+
+
+def _tango(only_one: int, only_other: int, episodes: int, mean: float, bound: float) -> float:
+    """The difference between `mean` and `bound` (1 or -1) whose score test just rejects, by bisection.
+
+    The score of a difference is that of the observed one under the likeliest rates that have this difference.
+    """
+    near, far = mean, bound
+    for _ in range(HALVINGS):
+        delta = (near + far) / 2
+        b = (2 * episodes - only_one + only_other) * delta - only_one - only_other
+        root = math.sqrt(max(b * b + 8 * episodes * only_other * delta * (1 - delta), 0.0))
+        variance = episodes * (2 * (root - b) / (4 * episodes) + delta * (1 - delta))
+        inside = (only_one - only_other - episodes * delta) ** 2 < Z * Z * variance
+        near, far = (delta, far) if inside else (near, delta)
+    return near
+
+
+def _with_exact(mean: float, low: float | None, high: float | None, p: float) -> Difference:
+    """A difference with the p-value of an exact test; the interval has 0 in it where p does not exclude it."""
+    if low is not None and p > 1 - LEVEL:
+        low, high = min(low, 0.0), max(high, 0.0)
+    return Difference(mean, low, high, p)
+
+
+def sign_test(ups: int, downs: int) -> float:
+    """The exact two-sided p-value of so many ups and downs, were both equally likely."""
+    n = ups + downs
+    logs = (math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1) for k in range(min(ups, downs) + 1))
+    return min(1.0, 2 * sum(math.exp(log - n * math.log(2)) for log in logs))
+
+
+def _sign_test_of(gaps: np.ndarray) -> float:
+    return sign_test(int((gaps > EQUAL).sum()), int((gaps < -EQUAL).sum()))
 
 
 def holm(p_values: np.ndarray) -> np.ndarray:
@@ -76,22 +154,14 @@ def holm(p_values: np.ndarray) -> np.ndarray:
     return result
 
 
-def new_runs(rates: np.ndarray, trials: int, rng: np.random.Generator) -> np.ndarray:
-    """Which rates further training runs would be found at, in a test of `trials` episodes: (RESAMPLES,) draws.
+def next_run(rates: np.ndarray, trials: int) -> tuple[float, float]:
+    """The mean of `rates` (S,), S >= 2, of training seeds, and how far from it another run's rate may be found (95 %).
 
-    `rates` (S,) are those of S >= 2 training seeds. A new seed's rate is a mean of resampled seeds plus one seed's
-    departure from the mean (widened by sqrt(S / (S - 1)), as the S departures share their mean); its successes are
-    binomial.
+    That run is tested on `trials` other episodes, so that the spread of the seeds, the error of their mean and the
+    chance of a test (of a rate a little nearer to 0.5, as Agresti and Coull, 1998, have it) add up.
     """
     rates = np.asarray(rates, dtype=float)
-    seeds = len(rates)
-    means = rates[rng.integers(seeds, size=(RESAMPLES, seeds))].mean(axis=1)
-    departures = (rates - rates.mean()) * math.sqrt(seeds / (seeds - 1))
-    new = np.clip(means + departures[rng.integers(seeds, size=RESAMPLES)], 0, 1)
-    return rng.binomial(trials, new) / trials
-
-
-def percentiles(values: np.ndarray, level: float = 0.95) -> tuple[float, float]:
-    """The interval that holds the middle `level` of values (n,)."""
-    low, high = np.quantile(values, [(1 - level) / 2, (1 + level) / 2])
-    return float(low), float(high)
+    mean = float(rates.mean())
+    likely = (mean * trials + 2) / (trials + 4)
+    variance = rates.var(ddof=1) * (1 + 1 / len(rates)) + likely * (1 - likely) / trials
+    return mean, t_quantile(len(rates) - 1) * math.sqrt(variance)

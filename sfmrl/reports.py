@@ -1,4 +1,4 @@
-"""A table's findings for people and programs: sheets for the terminal and for Markdown, lines for CSV."""
+"""Present a table's findings: sheets for the terminal and for Markdown, lines for CSV."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,24 +8,24 @@ PAPERS = ("success", "navigation_time", "total_reward")  # metrics that the pape
 
 @dataclass(frozen=True)
 class Sheet:
-    """A table of texts; the first column's are names."""
+    """A table of texts; the first column holds names."""
 
     title: str
     headings: tuple[str, ...]
     rows: list[tuple[str, ...]]
 
     def markdown(self) -> str:
-        """As Markdown."""
+        """Return the sheet as Markdown."""
         lines = [self.headings, ("---",) + ("---:",) * (len(self.headings) - 1), *self.rows]
         body = "\n".join(f"| {' | '.join(line)} |".replace("\n", " ") for line in lines)
         return f"{self.title}\n\n{body}\n"
 
 
 def sheets(found: list[dict[str, Any]], contrasts: list[dict[str, Any]], title: str) -> list[Sheet]:
-    """The findings in sheets of up to 80 columns: rates, every seed's, differences from SARL, and what causes them."""
+    """Return the findings as sheets of up to 80 columns: rates, seeds, training, differences from SARL, contrasts."""
     made = [
         Sheet(
-            f"{title}; 95 % intervals over seeds",
+            f"{title}; 95 % intervals over seeds (Student's t)",
             (
                 "row",
                 "paper",
@@ -39,12 +39,12 @@ def sheets(found: list[dict[str, Any]], contrasts: list[dict[str, Any]], title: 
             [_rates(row) for row in found],
         ),
         Sheet(
-            "Every seed's success; Wilson: what the test episodes alone leave open",
+            "Success of every seed; Wilson: the 95 % interval of one network over test episodes",
             ("row", "sd", "Wilson", "seeds " + _seeds(found)),
             [_points(row) for row in found],
         ),
         Sheet(
-            "Best validation; time with time-outs as 25 s; until validation success 0.9",
+            "Weights of the best validation; time with time-outs as 25 s; training until validation success 0.9",
             ("row", "best", "time, s", "episodes", "steps", "runs"),
             [_course(row) for row in found],
         ),
@@ -52,11 +52,13 @@ def sheets(found: list[dict[str, Any]], contrasts: list[dict[str, Any]], title: 
     compared = [row for row in found if row["difference"]]
     if compared:
         heads = ("row", "success\nless SARL's", "95 %", "p", "p (Holm)", "paper", "the paper is")
-        made.append(Sheet("Differences from SARL on the same episodes", heads, [_difference(row) for row in compared]))
+        made.append(Sheet("Differences from SARL, paired by seed", heads, [_difference(row) for row in compared]))
     if contrasts:
         names = tuple(dict.fromkeys(contrast["of"] for contrast in contrasts))
         changes = [_contrast(*line, names, contrasts) for line in CONTRASTED]
-        made.append(Sheet("What each ingredient changes, with and without the other", ("", *names), changes))
+        made.append(
+            Sheet("Effect of each ingredient, with and without the other, paired by seed", ("", *names), changes)
+        )
     return made
 
 
@@ -67,7 +69,7 @@ def _seeds(found: list[dict[str, Any]]) -> str:
 
 
 def rate(value: float | None) -> str:
-    """A rate to three digits, without its 0."""
+    """Write a rate with three digits and without a leading 0."""
     if value is None:
         return "-"
     text = f"{value:.3f}"
@@ -75,7 +77,7 @@ def rate(value: float | None) -> str:
 
 
 def p_value(p: float) -> str:
-    """A p-value to three digits."""
+    """Write a p-value with three digits."""
     return "<.001" if p < 0.001 else rate(p)
 
 
@@ -83,7 +85,13 @@ def _number(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-def _between(low: float | None, high: float | None, form: Any = rate) -> str:
+def seconds(value: float) -> str:
+    """Write a time with two digits."""
+    return f"{value:.2f}"
+
+
+def between(low: float | None, high: float | None, form: Any = rate) -> str:
+    """Write an interval's ends by `form`, or "-" for none."""
     return "-" if low is None else f"{form(low)} to {form(high)}"
 
 
@@ -128,7 +136,8 @@ def _course(row: dict[str, Any]) -> tuple[str, ...]:
 
 def _difference(row: dict[str, Any]) -> tuple[str, ...]:
     found = row["difference"]
-    numbers = rate(found["mean"]), _between(found["low"], found["high"]), p_value(found["p"]), p_value(found["p_holm"])
+    sure = (p_value(found["p"]), p_value(found["p_holm"])) if found["low"] is not None else ("-", "-")
+    numbers = rate(found["mean"]), between(found["low"], found["high"]), *sure
     return row["row"], *numbers, rate(found["paper"]), found["verdict"]
 
 
@@ -138,17 +147,17 @@ CONTRASTED = (
     ("validation, first quarter", "early_success", rate),
     ("training, first quarter", "early_training_success", rate),
     ("drop between validations", "drops", rate),
-    ("navigation time, s", "navigation_time", lambda value: f"{value:.2f}"),
+    ("navigation time, s", "navigation_time", seconds),
 )
 
 
 def _contrast(title: str, metric: str, form: Any, names: tuple[str, ...], contrasts: list[dict]) -> tuple[str, ...]:
     of = {c["of"]: c for c in contrasts if c["in"] == metric}
-    return title, *(f"{form(of[n]['mean'])} ({_between(of[n]['low'], of[n]['high'], form)})" for n in names)
+    return title, *(f"{form(of[n]['mean'])} ({between(of[n]['low'], of[n]['high'], form)})" for n in names)
 
 
 def csv_rows(found: list[dict[str, Any]], contrasts: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A line a figure: of every seed, and (seed "all") the mean with its interval and the paper's."""
+    """Return a line per figure of each seed, and one (seed "all") for the mean, its interval and the paper's."""
     lines = []
 
     def line(row: str, metric: str, seed: Any, value: Any, **more: Any) -> None:
@@ -175,7 +184,7 @@ def csv_rows(found: list[dict[str, Any]], contrasts: list[dict[str, Any]]) -> li
 
 
 def model_sheet(cards: dict[str, dict[str, Any]]) -> Sheet:
-    """Model cards in a list."""
+    """List model cards."""
     heads = ("model", "preset", "seed", "tested on", "success alone", "with recovery", "nav.\ntime")
     rows = []
     for name, card in cards.items():
@@ -187,7 +196,7 @@ def model_sheet(cards: dict[str, dict[str, Any]]) -> Sheet:
 
 
 def card_lines(card: dict[str, Any], indent: str = "") -> list[str]:
-    """A model card in lines of text."""
+    """Write a model card as lines of text."""
     lines = []
     for name, value in card.items():
         if isinstance(value, dict):

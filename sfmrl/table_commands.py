@@ -39,11 +39,11 @@ def table(
     markdown: Annotated[Path | None, option("write the tables to this file, as Markdown")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Train and test the rows of one of the paper's tables, and set them beside the paper's figures.
+    """Train and test the rows of one of the paper's tables, and show them beside the paper's figures.
 
-    What is finished is not trained again, and what was stopped goes on: give the same command again.
+    Give the same command again to go on after a stop; finished trainings are kept.
     """
-    from sfmrl.findings import contrasts, summarise
+    from sfmrl.findings import contrasts, figures, summarise
     from sfmrl.reports import csv_rows, sheets
 
     chosen, numbers = parse_rows(number, rows), parse_seeds(seeds)
@@ -63,9 +63,9 @@ def table(
     missing = len(chosen) * len(numbers) - sum(len(tested.seeds) for tested in found.values())
     if missing:
         say(f"{missing} of {len(chosen) * len(numbers)} trainings are not finished, and left out")
-    findings, changes = summarise(TABLES[number], found), contrasts(found) if number == 1 else []
-    title = f"Table {number}, {preset} preset, {TABLES[number].test_episodes} test episodes"
-    pages = sheets(findings, changes, title)
+    by_row = {row: figures(tested) for row, tested in found.items()}
+    findings, changes = summarise(TABLES[number], by_row), contrasts(by_row) if number == 1 else []
+    pages = sheets(findings, changes, f"Table {number}, {preset} preset, {TABLES[number].test_episodes} test episodes")
     if csv:
         csv.write_text(csv_text(csv_rows(findings, changes)))
     if markdown:

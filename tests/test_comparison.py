@@ -3,13 +3,12 @@
 import csv
 import json
 
-import numpy as np
 import pytest
+import scipy.stats
 
 from sfmrl.comparison import compare, comparison_rows, comparison_sheets
 from sfmrl.config import ConfigError
 from sfmrl.evaluation import evaluation_record
-from sfmrl.intervals import paired_difference
 from sfmrl.policies import POLICIES
 
 NAMES = ["orca", "linear", "sfm"]
@@ -32,6 +31,9 @@ def test_what_differs_is_counted_episode_by_episode(records):
         assert gap["only_this"] == sum(ours & ~success[0])
         assert gap["only_first"] == sum(success[0] & ~ours)
         assert gap["success"]["mean"] == pytest.approx(ours.mean() - success[0].mean())
+        assert gap["success"]["p"] == pytest.approx(
+            scipy.stats.binomtest(gap["only_this"], gap["only_this"] + gap["only_first"]).pvalue
+        )
         assert gap["success"]["low"] <= gap["success"]["mean"] <= gap["success"]["high"]
         assert gap["success"]["p"] <= gap["success"]["p_holm"] <= 1
     assert "less_first" not in found["policies"][0]
@@ -45,9 +47,9 @@ def test_what_differs_is_counted_episode_by_episode(records):
 def test_times_are_compared_where_both_succeed(records):
     found = compared(records)["policies"][2]["less_first"]["navigation_time"]
     both = (records[2].outcome == "success") & (records[0].outcome == "success")
-    times = [r.time[both][None] for r in (records[2], records[0])]
-    assert found["mean"] == pytest.approx((times[0] - times[1]).mean())
-    assert found["low"] == paired_difference(*times, np.random.default_rng(0)).low
+    theirs = scipy.stats.ttest_rel(*(r.time[both] for r in (records[2], records[0])))
+    assert found["mean"] == pytest.approx((records[2].time - records[0].time)[both].mean())
+    assert (found["low"], found["high"]) == pytest.approx(tuple(theirs.confidence_interval()))
 
 
 def test_other_episodes_are_refused(records):
@@ -60,7 +62,17 @@ def test_policies_that_are_alike_differ_in_nothing(records):
     found = compare([records[0]] * 2, [POLICIES["orca"]] * 2, ["orca", "again"])
     assert found["differing"] == []
     assert found["policies"][1]["less_first"]["success"]["p"] == 1
-    assert len(comparison_sheets(found, "title")) == 2
+    assert found["policies"][1]["less_first"]["success"]["high"] > 0.1
+    sheets = comparison_sheets(found, "title")
+    assert len(sheets) == 2
+    assert sheets[1].rows[0][-1] == "0.00 (-)"
+
+
+def test_one_episode_is_called_one_and_a_pair_of_times_has_no_interval(sfmrl):
+    words = ("--episodes", 1, "--environment", 5, "--seed", 1)
+    done = sfmrl("compare", "orca", "sfm", *words)
+    assert "environment 5, 1 episode, seed 1" in done.stdout
+    assert "1 episode, seed 1" in sfmrl("eval", "orca", *words).stdout
 
 
 def test_csv_has_a_line_an_episode_of_each(records):

@@ -8,7 +8,18 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sfmrl.intervals import RESAMPLES, holm, mean_interval, new_runs, paired_difference, percentiles, wilson
+from sfmrl.intervals import (
+    episode_difference,
+    holm,
+    mean_difference,
+    mean_interval,
+    next_run,
+    sign_test,
+    success_difference,
+    t_quantile,
+    t_within,
+    wilson,
+)
 
 
 def rng(seed: int = 0) -> np.random.Generator:
@@ -22,68 +33,104 @@ def test_wilson_is_scipys(successes, trials):
     assert wilson(successes, trials) == pytest.approx((theirs.low, theirs.high), abs=1e-6)
 
 
-def test_the_interval_of_a_mean_is_scipys_percentile_bootstrap():
-    values = rng(3).normal(0.9, 0.05, size=10)
-    theirs = scipy.stats.bootstrap(
-        (values,), np.mean, method="percentile", n_resamples=100_000, rng=rng(1)
-    ).confidence_interval
-    assert mean_interval(values, rng()) == pytest.approx((theirs.low, theirs.high), abs=1.5e-3)
+@pytest.mark.parametrize("degrees", [1, 2, 3, 4, 9, 10, 499, 10_000])
+def test_students_t_is_scipys(degrees):
+    assert t_quantile(degrees) == pytest.approx(scipy.stats.t.ppf(0.975, degrees), rel=1e-9)
+    for t in (0.0, 0.1, 1.0, 2.5, 20.0):
+        assert t_within(t, degrees) == pytest.approx(1 - 2 * scipy.stats.t.sf(t, degrees), abs=1e-12)
 
 
-def test_of_one_value_there_is_no_interval():
-    assert np.isnan(mean_interval([0.9], rng())).all()
-    assert np.isnan(mean_interval([], rng())).all()
+@pytest.mark.parametrize("seeds", [2, 3, 5, 10])
+def test_the_interval_and_the_p_value_of_a_mean_are_scipys(seeds):
+    gaps = rng(seeds).normal(0.02, 0.03, size=seeds)
+    found, theirs = mean_difference(gaps), scipy.stats.ttest_1samp(gaps, 0)
+    interval = theirs.confidence_interval()
+    assert (found.mean, found.p) == pytest.approx((gaps.mean(), theirs.pvalue))
+    assert (found.low, found.high) == mean_interval(gaps) == pytest.approx((interval.low, interval.high))
 
 
-def test_with_one_seed_a_difference_is_the_bootstrap_of_its_episodes():
-    draws = rng(5)
-    one, other = draws.random((1, 300)) < 0.9, draws.random((1, 300)) < 0.8
-    found = paired_difference(one, other, rng())
-    gaps = (one.astype(float) - other)[0]
-    theirs = scipy.stats.bootstrap(
-        (gaps,), np.mean, method="percentile", n_resamples=50_000, rng=rng(1)
-    ).confidence_interval
-    assert found.mean == pytest.approx(gaps.mean())
-    assert (found.low, found.high) == pytest.approx((theirs.low, theirs.high), abs=4e-3)
+@pytest.mark.parametrize("seeds", [3, 5, 10])
+def test_the_interval_of_a_mean_holds_the_true_one_in_95_percent_of_simulated_tables(seeds):
+    draws = rng(1).normal(size=(8000, seeds))
+    tested = rng(2).binomial(500, rng(3).normal(0.95, 0.02, size=(8000, seeds)).clip(0, 1)) / 500
+    for values, true in ((draws, 0.0), (tested, 0.95)):
+        ends = np.array([mean_interval(value) for value in values], dtype=float)  # none is NaN, and holds nothing
+        assert 0.94 <= ((ends[:, 0] <= true) & (true <= ends[:, 1])).mean() <= 0.97
 
 
-def test_seeds_and_episodes_both_widen_a_difference():
-    seeds, episodes = 6, 80
-    draws = rng(2)
-    by_seed, by_episode = draws.normal(size=(seeds, 1)), draws.normal(size=(1, episodes))
-    gaps = by_seed + by_episode
-    found = paired_difference(gaps, np.zeros_like(gaps), rng())
-    spread = np.sqrt(by_seed.var() / seeds + by_episode.var() / episodes)  # both sums are resampled independently
-    assert (found.high - found.low) / (2 * 1.96) == pytest.approx(spread, rel=0.05)
+@pytest.mark.parametrize("values", [[], [0.9], [0.994] * 10, [0.996 - 0.994, 0.998 - 0.996]])
+def test_values_that_show_no_spread_have_no_interval(values):
+    assert mean_interval(values) == (None, None)
 
 
-def test_seeds_and_episodes_are_drawn_as_if_one_by_one():
-    gaps = rng(7).normal(size=(3, 4))
-    found = paired_difference(gaps, np.zeros_like(gaps), rng())
-    draws = rng(8)
-    plain = [gaps[draws.integers(3, size=3)][:, draws.integers(4, size=4)].mean() for _ in range(20_000)]
-    assert (found.low, found.high) == pytest.approx(percentiles(np.array(plain)), abs=0.03)
+def test_an_interval_is_cut_to_what_is_possible():
+    assert mean_interval([0.99, 1.0, 0.98], 0.0, 1.0)[1] == 1.0
 
 
-def test_p_is_small_where_all_agree_and_one_where_nothing_differs():
-    same = paired_difference(np.ones((4, 50)), np.ones((4, 50)), rng())
-    assert (same.mean, same.low, same.high, same.p) == (0, 0, 0, 1)
-    apart = paired_difference(np.ones((4, 50)), np.zeros((4, 50)), rng())
-    assert (apart.mean, apart.low, apart.high) == (1, 1, 1)
-    assert apart.p == pytest.approx(2 / (1 + RESAMPLES))
+@given(st.integers(0, 60), st.integers(0, 60))
+def test_the_sign_test_is_scipys(ups, downs):
+    theirs = scipy.stats.binomtest(ups, ups + downs).pvalue if ups + downs else 1.0
+    assert sign_test(ups, downs) == pytest.approx(theirs)
 
 
-def test_differences_of_nothing_are_rarely_called_significant():
-    """Where seeds and episodes differ, about one in twenty; where all is chance, fewer (see `paired_difference`)."""
-    draws = rng(11)
-    called = {"effects": 0, "chance": 0}
-    for trial in range(100):
-        effects = draws.normal(size=(12, 1)) + draws.normal(size=(1, 30))
-        chance = draws.normal(size=(12, 30))
-        for kind, gaps in (("effects", effects), ("chance", chance)):
-            called[kind] += paired_difference(gaps, np.zeros_like(gaps), rng(trial)).p < 0.05
-    assert 1 <= called["effects"] <= 12
-    assert called["chance"] <= 5
+def score(only_one: int, only_other: int, episodes: int, delta: float) -> float:
+    """z of a difference `delta`, with the likeliest rates that have it found among very many."""
+    q = np.linspace(max(0.0, -delta), min(1.0, (1 - delta) / 2 if delta > -1 else 1.0), 200_001)[1:-1]  # other's alone
+    same = np.maximum(1 - 2 * q - delta, 1e-300)
+    likelihood = only_other * np.log(q) + (episodes - only_one - only_other) * np.log(same)
+    likelihood += only_one * np.log(np.maximum(q + delta, 1e-300))
+    best = q[likelihood.argmax()]
+    return (only_one - only_other - episodes * delta) / np.sqrt(episodes * (2 * best + delta - delta**2))
+
+
+@pytest.mark.parametrize(("one", "other", "episodes"), [(12, 2, 50), (37, 9, 200), (1, 13, 30), (8, 0, 100)])
+def test_tangos_limits_are_the_differences_whose_score_is_just_significant(one, other, episodes):
+    found = success_difference(one, other, episodes)
+    assert score(one, other, episodes, found.low) == pytest.approx(1.96, abs=0.01)
+    assert score(one, other, episodes, found.high) == pytest.approx(-1.96, abs=0.01)
+
+
+@pytest.mark.parametrize("alone", [(0.01, 0.01), (0.03, 0.0), (0.05, 0.02), (0.3, 0.2)])
+def test_the_interval_of_a_difference_in_success_holds_the_true_one(alone):
+    counts = np.array([(one, other, 50 - one - other) for one in range(51) for other in range(51 - one)])
+    chances = scipy.stats.multinomial(50, [*alone, 1 - sum(alone)]).pmf(counts)
+    likely = chances > 1e-5
+    found = [success_difference(*count[:2].tolist(), 50) for count in counts[likely]]
+    holds = [gap.low <= alone[0] - alone[1] <= gap.high for gap in found]
+    assert np.average(holds, weights=chances[likely]) >= 0.94
+    if alone[0] == alone[1]:
+        assert np.average([gap.p < 0.05 for gap in found], weights=chances[likely]) <= 0.05
+
+
+def test_few_differing_episodes_are_no_proof_and_none_leave_much_open():
+    assert success_difference(0, 4, 20).p == 0.125
+    for episodes in (20, 500):
+        none = success_difference(0, 0, episodes)
+        assert (none.mean, none.p) == (0, 1)
+        assert (-none.low, none.high) == pytest.approx([wilson(0, episodes)[1]] * 2)
+
+
+@given(st.integers(0, 100), st.integers(0, 100))
+def test_the_interval_of_success_leaves_out_0_where_the_exact_test_does(one, other):
+    found = success_difference(one, other, 200)
+    assert (found.low <= 0 <= found.high) == (found.p > 0.05)
+    assert -1 <= found.low <= found.mean <= found.high <= 1
+    assert found.high - found.low > 0.01
+
+
+def test_few_pairs_of_times_are_no_proof():
+    assert vars(episode_difference(np.array([-7.0]))) == {"mean": -7, "low": None, "high": None, "p": 1}
+    two = episode_difference(np.array([-7.0, -7.25]))
+    assert two.p == 0.5
+    assert two.low < two.mean < two.high == 0
+    same = episode_difference(np.zeros(500))
+    assert (same.low, same.p) == (None, 1)
+
+
+@pytest.mark.parametrize("pairs", [2, 5, 24, 100])
+def test_times_that_differ_by_chance_are_rarely_called_different(pairs):
+    gaps = np.round(4 * rng(5).standard_t(3, size=(1000, pairs))) / 4  # heavy tails, in steps of 0.25 s
+    assert np.mean([episode_difference(gap).p < 0.05 for gap in gaps]) <= 0.06
 
 
 def closed_testing(p_values: np.ndarray) -> np.ndarray:
@@ -99,15 +146,10 @@ def test_holm_is_closed_testing(p_values):
     np.testing.assert_allclose(holm(p_values), closed_testing(p_values))
 
 
-def test_new_runs_spread_as_seeds_and_a_binomial_test_do():
-    rates = rng(4).normal(0.7, 0.05, size=200).clip(0, 1)
-    draws = new_runs(rates, 100, rng())
-    assert draws.mean() == pytest.approx(rates.mean(), abs=0.005)
-    variance = rates.var(ddof=1) * (1 + 1 / len(rates)) + np.mean(rates * (1 - rates)) / 100
-    assert draws.var() == pytest.approx(variance, rel=0.1)
-    assert new_runs([1.0, 1.0], 100, rng()).min() == 1
-
-
-def test_resampling_is_repeatable():
-    values = np.array([0.9, 0.95, 0.8])
-    assert mean_interval(values, rng(1)) == mean_interval(values, rng(1))
+@pytest.mark.parametrize("seeds", [5, 10])
+def test_another_run_is_found_in_the_range_that_is_expected(seeds):
+    tables = rng(6).normal(0.9, 0.03, size=(2000, seeds + 1)).clip(0, 1)
+    rates = rng(7).binomial(500, tables) / 500
+    ranges = np.array([next_run(row[:-1], 500) for row in rates])
+    assert 0.95 <= (abs(rates[:, -1] - ranges[:, 0]) <= ranges[:, 1]).mean() <= 0.99
+    assert next_run([1.0] * 5, 100)[1] > 0
