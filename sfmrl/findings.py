@@ -148,15 +148,15 @@ CONTRASTS = {
     "forces in the state": (("sarl-sfm5", "sarl"), ("sarl-sfm6", "sarl-sfm2")),
     "SFM reward": (("sarl-sfm2", "sarl"), ("sarl-sfm6", "sarl-sfm5")),
 }
-CONTRASTED = (
-    "success",
-    "start_success",
-    "early_success",
-    "early_training_success",
-    "drops",
-    "reached_episodes",
-    "navigation_time",
-)
+CONTRASTED = {
+    "success": "success",
+    "start_success": "validation after imitation",
+    "early_success": "validation, first quarter",
+    "early_training_success": "training, first quarter",
+    "drops": "drop between validations",
+    "reached_episodes": "episodes until validation 0.9",
+    "navigation_time": "navigation time, s",
+}
 
 
 def contrasts(rows: dict[str, Figures]) -> list[dict[str, Any]]:

@@ -1,8 +1,8 @@
-"""How sure is a number: 95 % intervals of rates and of means, and differences between policies with their p-values.
+"""95 % intervals of rates and means, and differences between policies with their p-values.
 
-Means over training seeds use Student's t; rates of test episodes Wilson's interval. Two policies that play the same
-episodes are compared in pairs: by Tango's interval and the exact sign (McNemar) test for their success, by Student's t
-for their times. Too few values have no interval (None), rather than one that pretends to be sure.
+Means over training seeds have Student's t interval, rates of test episodes Wilson's. Two policies on the same episodes
+are compared in pairs: success by Tango's interval and the exact McNemar test, navigation time by Student's t. Where
+values are too few to show a spread, there is no interval (None).
 """
 
 import math
@@ -13,13 +13,13 @@ import numpy as np
 
 LEVEL = 0.95
 Z = 1.959964  # the normal distribution's quantile for LEVEL, two-sided
-FEW = 25  # below so many pairs, the exact sign test has a say on means, too
-EQUAL = 1e-9  # values within this range are the same but for rounding
-HALVINGS = 60  # of a bisection: to the last bits of a float
+EXACT_BELOW = 25  # pairs; for fewer, p is at least that of the exact sign test
+ROUNDING = 1e-9  # values that differ by less are equal
+HALVINGS = 60  # in a bisection, to the last bits of a float
 
 
 def wilson(successes: int, trials: int, z: float = Z) -> tuple[float, float]:
-    """The Wilson score interval of a rate, 95 % by default (Wilson, 1927)."""
+    """Return the Wilson score interval of a rate, 95 % by default (Wilson, 1927)."""
     if trials == 0:
         return 0.0, 1.0
     rate, spread = successes / trials, z * z / trials
@@ -29,7 +29,7 @@ def wilson(successes: int, trials: int, z: float = Z) -> tuple[float, float]:
 
 
 def t_within(t: float, degrees: int) -> float:
-    """P(|T| <= t) of Student's t with `degrees` of freedom (Abramowitz and Stegun, 26.7.3 and 26.7.4)."""
+    """Return P(|T| <= t) of Student's t with `degrees` of freedom (Abramowitz and Stegun, 26.7.3 and 26.7.4)."""
     angle, odd = math.atan(t / math.sqrt(degrees)), degrees % 2
     first = 0.0 if degrees == 1 else math.cos(angle) if odd else 1.0
     k = np.arange(2 + odd, degrees, 2)
@@ -39,7 +39,7 @@ def t_within(t: float, degrees: int) -> float:
 
 @cache
 def t_quantile(degrees: int) -> float:
-    """The t for which P(|T| <= t) is 0.95, by bisection over the angle atan(t / sqrt(degrees))."""
+    """Find the t for which P(|T| <= t) is 0.95, by bisection of the angle atan(t / sqrt(degrees))."""
     low, high = 0.0, math.pi / 2
     for _ in range(HALVINGS):
         middle = (low + high) / 2
@@ -51,12 +51,12 @@ def t_quantile(degrees: int) -> float:
 def mean_interval(
     values: np.ndarray, least: float = -math.inf, most: float = math.inf
 ) -> tuple[float, float] | tuple[None, None]:
-    """Student's t interval of the mean of `values` (S,), cut to what is possible, `least` to `most`.
+    """Return Student's t interval of the mean of `values` (S,), cut to the possible values `least` to `most`.
 
-    Fewer than two values, or equal ones, say nothing of their spread: the interval is then (None, None).
+    Fewer than two values, or equal ones, show no spread: the interval is then (None, None).
     """
     values = np.asarray(values, dtype=float)
-    if len(values) < 2 or np.ptp(values) < EQUAL:
+    if len(values) < 2 or np.ptp(values) < ROUNDING:
         return None, None
     mean, half = float(values.mean()), t_quantile(len(values) - 1) * _standard_error(values)
     return max(mean - half, least), min(mean + half, most)
@@ -77,9 +77,9 @@ class Difference:
 
 
 def mean_difference(gaps: np.ndarray) -> Difference:
-    """The mean of paired differences `gaps` (N,), N >= 1, with Student's t interval and the p-value of the t-test.
+    """Return the mean of paired differences `gaps` (N,), N >= 1, Student's t interval and the t-test's p-value.
 
-    Where there is no interval, p is the sign test's: 1 for a single pair.
+    Where there is no interval, p is that of the sign test: 1 for a single pair.
     """
     gaps = np.asarray(gaps, dtype=float)
     mean, (low, high) = float(gaps.mean()), mean_interval(gaps)
@@ -89,63 +89,63 @@ def mean_difference(gaps: np.ndarray) -> Difference:
 
 
 def episode_difference(gaps: np.ndarray) -> Difference:
-    """`mean_difference` for episodes, whose gaps (N,) are in steps and far from normal.
+    """Return `mean_difference` of episodes, whose `gaps` (N,) are multiples of a time step and not normal.
 
-    Of fewer than 25 pairs, p is the larger one of the t-test's and the exact sign test's.
+    With fewer than 25 pairs, p is the larger of the t-test's and the exact sign test's.
     """
     found = mean_difference(gaps)
-    if len(gaps) >= FEW:
+    if len(gaps) >= EXACT_BELOW:
         return found
     return _with_exact(found.mean, found.low, found.high, max(found.p, _sign_test_of(np.asarray(gaps))))
 
 
 def success_difference(only_one: int, only_other: int, episodes: int) -> Difference:
-    """The success rate of one policy less that of another in the same `episodes`.
+    """Return the success rate of one policy less that of another in the same `episodes`.
 
-    `only_one` and `only_other` count the episodes in which one alone succeeds. The interval is Tango's (1998), p that
-    of the exact McNemar test, which is the sign test on the episodes that differ.
+    `only_one` and `only_other` count the episodes in which one policy alone succeeds. The interval is Tango's (1998);
+    p is that of the exact McNemar test, which is the sign test on the episodes that differ.
     """
-    mean = (only_one - only_other) / episodes
-    limits = _tango(only_one, only_other, episodes, mean, 1.0), _tango(only_one, only_other, episodes, mean, -1.0)
-    return _with_exact(mean, limits[1], limits[0], sign_test(only_one, only_other))
+    low, high = (_tango_limit(only_one, only_other, episodes, bound) for bound in (-1.0, 1.0))
+    return _with_exact((only_one - only_other) / episodes, low, high, sign_test(only_one, only_other))
 
 
-def _tango(only_one: int, only_other: int, episodes: int, mean: float, bound: float) -> float:
-    """The difference between `mean` and `bound` (1 or -1) whose score test just rejects, by bisection.
+def _tango_limit(only_one: int, only_other: int, episodes: int, bound: float) -> float:
+    """Find the last difference on the way to `bound` (1 or -1) that the score test does not reject, by bisection.
 
-    The score of a difference is that of the observed one under the likeliest rates that have this difference.
+    The test of a difference `delta` takes its variance from the likeliest rates whose difference is `delta`.
     """
-    near, far = mean, bound
+    near, far = (only_one - only_other) / episodes, bound
     for _ in range(HALVINGS):
         delta = (near + far) / 2
         b = (2 * episodes - only_one + only_other) * delta - only_one - only_other
         root = math.sqrt(max(b * b + 8 * episodes * only_other * delta * (1 - delta), 0.0))
-        variance = episodes * (2 * (root - b) / (4 * episodes) + delta * (1 - delta))
+        likeliest = (root - b) / (4 * episodes)  # rate of episodes in which the other one alone succeeds
+        variance = episodes * (2 * likeliest + delta * (1 - delta))
         inside = (only_one - only_other - episodes * delta) ** 2 < Z * Z * variance
         near, far = (delta, far) if inside else (near, delta)
     return near
 
 
 def _with_exact(mean: float, low: float | None, high: float | None, p: float) -> Difference:
-    """A difference with the p-value of an exact test; the interval has 0 in it where p does not exclude it."""
+    """Return a difference with the p-value of an exact test, and its interval widened to 0 unless p rejects 0."""
     if low is not None and p > 1 - LEVEL:
         low, high = min(low, 0.0), max(high, 0.0)
     return Difference(mean, low, high, p)
 
 
 def sign_test(ups: int, downs: int) -> float:
-    """The exact two-sided p-value of so many ups and downs, were both equally likely."""
+    """Return the exact two-sided p-value of `ups` and `downs`, if both were equally likely."""
     n = ups + downs
     logs = (math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1) for k in range(min(ups, downs) + 1))
     return min(1.0, 2 * sum(math.exp(log - n * math.log(2)) for log in logs))
 
 
 def _sign_test_of(gaps: np.ndarray) -> float:
-    return sign_test(int((gaps > EQUAL).sum()), int((gaps < -EQUAL).sum()))
+    return sign_test(int((gaps > ROUNDING).sum()), int((gaps < -ROUNDING).sum()))
 
 
 def holm(p_values: np.ndarray) -> np.ndarray:
-    """p-values (n,) adjusted for being the smallest of several (Holm, 1979)."""
+    """Return p-values (n,) adjusted for being several (Holm, 1979)."""
     p_values = np.asarray(p_values, dtype=float)
     order = np.argsort(p_values)
     adjusted = np.maximum.accumulate(p_values[order] * np.arange(len(order), 0, -1))
@@ -155,10 +155,10 @@ def holm(p_values: np.ndarray) -> np.ndarray:
 
 
 def next_run(rates: np.ndarray, trials: int) -> tuple[float, float]:
-    """The mean of `rates` (S,), S >= 2, of training seeds, and how far from it another run's rate may be found (95 %).
+    """Return the mean of the seeds' `rates` (S,), S >= 2, and the half-width of the 95 % range of one more run's rate.
 
-    That run is tested on `trials` other episodes, so that the spread of the seeds, the error of their mean and the
-    chance of a test (of a rate a little nearer to 0.5, as Agresti and Coull, 1998, have it) add up.
+    That run is tested on `trials` other episodes. The variance adds up the spread of the seeds, the error of their
+    mean, and the chance of a test, whose rate has Agresti and Coull's (1998) correction away from 0 and 1.
     """
     rates = np.asarray(rates, dtype=float)
     mean = float(rates.mean())

@@ -1,7 +1,10 @@
 """Present a table's findings: sheets for the terminal and for Markdown, lines for CSV."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
+
+from sfmrl.findings import CONTRASTED
 
 PAPERS = ("success", "navigation_time", "total_reward")  # metrics that the paper reports under the same name
 
@@ -55,7 +58,7 @@ def sheets(found: list[dict[str, Any]], contrasts: list[dict[str, Any]], title: 
         made.append(Sheet("Differences from SARL, paired by seed", heads, [_difference(row) for row in compared]))
     if contrasts:
         names = tuple(dict.fromkeys(contrast["of"] for contrast in contrasts))
-        changes = [_contrast(*line, names, contrasts) for line in CONTRASTED]
+        changes = [_contrast(metric, contrasts) for metric in CONTRASTED]
         made.append(
             Sheet("Effect of each ingredient, with and without the other, paired by seed", ("", *names), changes)
         )
@@ -85,9 +88,7 @@ def _number(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-def seconds(value: float) -> str:
-    """Write a time with two digits."""
-    return f"{value:.2f}"
+seconds = partial(_number, form=".2f")
 
 
 def between(low: float | None, high: float | None, form: Any = rate) -> str:
@@ -109,7 +110,7 @@ def _rates(row: dict[str, Any]) -> tuple[str, ...]:
         _with_interval(success),
         f"{rate(mean['human_collision'])}+{rate(mean['square_collision'])}",
         rate(mean["timeout"]),
-        _number(mean["navigation_time"], ".2f"),
+        seconds(mean["navigation_time"]),
         _number(mean["total_reward"], ".3f"),
         row["verdict"],
     )
@@ -127,7 +128,7 @@ def _course(row: dict[str, Any]) -> tuple[str, ...]:
     return (
         row["row"],
         _with_interval(best),
-        _number(figures["navigation_time_charged"]["mean"], ".2f"),
+        seconds(figures["navigation_time_charged"]["mean"]),
         _number(episodes["mean"], ".0f"),
         _number(figures["reached_steps"]["mean"], ",.0f"),
         f"{sum(value is not None for value in episodes['values'])} of {len(episodes['values'])}",
@@ -141,19 +142,10 @@ def _difference(row: dict[str, Any]) -> tuple[str, ...]:
     return row["row"], *numbers, rate(found["paper"]), found["verdict"]
 
 
-CONTRASTED = (
-    ("success", "success", rate),
-    ("validation after imitation", "start_success", rate),
-    ("validation, first quarter", "early_success", rate),
-    ("training, first quarter", "early_training_success", rate),
-    ("drop between validations", "drops", rate),
-    ("navigation time, s", "navigation_time", seconds),
-)
-
-
-def _contrast(title: str, metric: str, form: Any, names: tuple[str, ...], contrasts: list[dict]) -> tuple[str, ...]:
-    of = {c["of"]: c for c in contrasts if c["in"] == metric}
-    return title, *(f"{form(of[n]['mean'])} ({between(of[n]['low'], of[n]['high'], form)})" for n in names)
+def _contrast(metric: str, contrasts: list[dict[str, Any]]) -> tuple[str, ...]:
+    form = {"navigation_time": seconds, "reached_episodes": partial(_number, form=".0f")}.get(metric, rate)
+    found = [c for c in contrasts if c["in"] == metric]
+    return CONTRASTED[metric], *(f"{form(c['mean'])} ({between(c['low'], c['high'], form)})" for c in found)
 
 
 def csv_rows(found: list[dict[str, Any]], contrasts: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -207,6 +207,9 @@ def test_verdicts(rates, verdict):
 def test_what_the_two_ingredients_change():
     success = {"sarl": [0.9, 0.8], "sarl-sfm2": [0.8, 0.8], "sarl-sfm5": [1.0, 1.0], "sarl-sfm6": [0.9, 0.9]}
     rows = {name: figures(trained(rates)) for name, rates in success.items()}
+    never = {name: figures(trained(rates, validation=np.zeros((2, 4)))) for name, rates in success.items()}
+    sheet = sheets(summarise(TABLES[1], never), contrasts(never), "Table 1")[-1]
+    assert ("episodes until validation 0.9", "- (-)", "- (-)") in sheet.rows
     assert contrasts({name: row for name, row in rows.items() if name != "sarl-sfm6"}) == []
     found = {(c["of"], c["in"]): c for c in contrasts(rows)}
     forces = found["forces in the state", "success"]
