@@ -283,7 +283,7 @@ def test_commands_use_maps_and_say_what_is_wrong_in_a_line(sfmrl: Callable, tmp_
     assert "linear, map room 1.txt, 2 episodes, seed 0" in done.stdout
     assert "sfmrl ascii-render linear --map 'room 1.txt' --seed 0 --episode 0" in done.stderr
     compared = sfmrl("compare", "linear", "orca", "--map", "room 1.txt", "--episodes", "1")
-    assert "map room 1.txt, 1 episodes, seed 0" in compared.stdout
+    assert "map room 1.txt, 1 episode, seed 0" in compared.stdout
     drawn = sfmrl("ascii-render", "--draw", "--map", "room 1.txt")
     assert (drawn.stdout, drawn.stderr) == (ROOM, "")
     shown = sfmrl("ascii-render", "linear", "--map", "room 1.txt", "--frames", "1")
