@@ -18,6 +18,10 @@ class ConfigError(ValueError):
     """A setting that cannot be used; its text is one line that names the setting and the remedy."""
 
 
+class Untrusted(str):
+    """Text that was read from a file: no code that it names is run (see `own_code.py`)."""
+
+
 def knob(default: Any, help: str, *, least: float | None = None, most: float | None = None, choices: tuple = ()) -> Any:
     """A dataclass field with its help text, and the range or choices that its values are held to."""
     return field(default=default, metadata={"help": help, "least": least, "most": most, "choices": choices})
@@ -110,7 +114,7 @@ class Reward(_Checked):
     success: float = knob(1.0, "reward for reaching the goal (CRI)")
     collision: float = knob(-0.25, "reward for a collision (CRI)")
     discomfort_distance: float = knob(0.2, "closer than this is too close, m (CRI)", least=0)
-    discomfort_slope: float = knob(0.125, "crowd: penalty per metre too close (CRI: 0.25 / 2)")
+    discomfort_slope: float = knob(0.125, "crowd: penalty per metre too close, in 0.25 s (CrowdNav: 0.5 a second)")
     discomfort_amplitude: float = knob(-0.03, "sfm: reward at zero separation (the paper's A)")
     discomfort_decay: float = knob(10.0, "sfm: how fast it fades with separation, 1/m (the paper's B)")
     k: float = knob(0.001, "sfm: weight of moving at the preferred velocity (the paper's k)")
@@ -211,7 +215,10 @@ class Config:
 
     @staticmethod
     def from_json(text: str) -> "Config":
-        """The config that `to_json` wrote; raises ConfigError on unknown keys and bad values."""
+        """The config that `to_json` wrote; raises ConfigError on unknown keys and bad values.
+
+        Its reward's name is `Untrusted`: one that names Python code is not run, unless `own_code.trusted` says so.
+        """
         try:
             changes = json.loads(text)
         except (TypeError, ValueError):
@@ -221,7 +228,8 @@ class Config:
                 value = changes.pop(name, neutral)
                 if value != neutral:
                     raise ConfigError(f"it was made by sfmrl 0.1.0 with {name} {value!r}; play it with that version")
-        return override(Config(), changes)
+        config = override(Config(), changes)
+        return override(config, {"reward": {"reward": Untrusted(config.reward.reward)}})
 
 
 # Settings of earlier versions that are gone, and the value under which their files still mean the same.
@@ -246,3 +254,8 @@ def override(config: Any, changes: Mapping[str, Any]) -> Any:
 # discs of 0.3 m, and a relaxation time of 0.5 s. The paper's (1, 1, 0) describes the robot's surroundings; as a crowd
 # model it would let people walk through each other.
 CROWD_FORCE = SocialForce(a=7.0, b=0.3, d=0.6, k=2.0)
+
+# What `help(sfmrl.Reward)` and the like show: every knob with its help text.
+for _settings in (SocialForce, Simulation, Reward, Planner, Imitation, Reinforcement, Config):
+    _lines = [f"    {item.name}: {item.metadata['help']}" for item in fields(_settings) if item.metadata]
+    _settings.__doc__ = "\n".join((f"{_settings.__doc__}\n", *_lines))

@@ -61,6 +61,7 @@ def replay_command(
     episode: int,
     settings: dict[str, Any],
     versus: str | None = None,
+    trust_reward: bool = False,
 ) -> str:
     """What to type to see a test episode; `place` is --environment or --map and its value, None if the policy's."""
     words = [
@@ -69,6 +70,7 @@ def replay_command(
         f"--versus {shlex.quote(versus)}" if versus else "",
         f"{place[0]} {shlex.quote(str(place[1]))}" if place else "",
         f"--seed {seed} --episode {episode}",
+        "--trust-reward" if trust_reward else "",
     ]
     for section in settings.values():
         words += [

@@ -23,20 +23,30 @@ from sfmrl.sfm import sfm_velocities
 class World:
     """E episodes at one moment, each of N rows: the robot (row 0), people, squares; absent rows are NaN.
 
-    `episode` (E,) says which row of the scenes each episode is, `steps` (E,) how many steps it has taken.
+    position (E, N, 2): m
+    velocity (E, N, 2): m/s
+    steps (E,): how many each episode has taken
+    goal (E, N, 2): m; a square's is where it stands
+    radius (E, N): m; half a square's side
+    v_pref (E, N): m/s, preferred and highest speed
+    square (E, N): bool, which rows are squares
+    edges: the squares' outlines, for ORCA
+    episode (E,): which row of the scenes each episode is
+    simulation: time step, time limit and the crowd's model, a `Simulation`
+    geodesics: ways around squares in all the scenes, None unless a policy plans
     """
 
-    position: np.ndarray  # (E, N, 2) m
-    velocity: np.ndarray  # (E, N, 2) m/s
-    steps: np.ndarray  # (E,)
-    goal: np.ndarray  # (E, N, 2) m
-    radius: np.ndarray  # (E, N) m
-    v_pref: np.ndarray  # (E, N) m/s
-    square: np.ndarray  # (E, N) bool
-    edges: Edges  # the squares' outlines, for ORCA
-    episode: np.ndarray  # (E,)
+    position: np.ndarray
+    velocity: np.ndarray
+    steps: np.ndarray
+    goal: np.ndarray
+    radius: np.ndarray
+    v_pref: np.ndarray
+    square: np.ndarray
+    edges: Edges
+    episode: np.ndarray
     simulation: Simulation
-    geodesics: Geodesics | None = None  # of all the scenes, for those who plan
+    geodesics: Geodesics | None = None
 
     def __len__(self) -> int:
         return len(self.position)
@@ -171,8 +181,10 @@ def transition(world: World, action: np.ndarray) -> Transition:
         time, preferred = np.broadcast_to(time[many], outcome.shape), np.broadcast_to(preferred, action.shape)
     return Transition(
         time=time,
+        time_step=np.broadcast_to(simulation.time_step, outcome.shape),
         velocity=action,
         preferred_velocity=preferred,
+        goal_distance_before=np.broadcast_to(length(robot - goal), outcome.shape),
         goal_distance=goal_distance,
         separations=separations,
         outcome=outcome,

@@ -9,32 +9,45 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from sfmrl.config import Config, Planner, Reward, Simulation
+from sfmrl.config import Config, ConfigError, Planner, Reward, Simulation
 from sfmrl.crowd import World, advance, crowd_velocities, reset, transition
+from sfmrl.geometry import length
 from sfmrl.lookahead import Policy, step_discount
+from sfmrl.own_code import fault, is_write, kind, name_of, numbers, read_only
 from sfmrl.policies import find_policy
-from sfmrl.rewards import OUTCOMES, RUNNING, Terms, Transition, reward_terms, total
+from sfmrl.rewards import OUTCOMES, RUNNING, OwnReward, Terms, Transition, as_reward, reward_terms, total
 from sfmrl.scenarios import Scenes
 from sfmrl.states import robot_states
 
 BATCH = 256  # episodes side by side, where a policy does not name another number
+TOLERANCE = 1e-4  # m/s by which a policy may exceed v_pref: ORCA computes in float32
 
 
 @dataclass(frozen=True)
 class Record:
     """E played episodes: arrays over time, NaN (outcome: running) after an episode's end; T the longest's steps.
 
-    Entry t of `position` and `velocity` is the world before step t, and its reward and transition are step t's.
+    scenes: the `Scenes` that were played
+    simulation: the `Simulation` in which they were
+    steps (E,): how many steps each episode took
+    position (E, T + 1, N, 2): m, entry t before step t, row 0 the robot
+    velocity (E, T + 1, N, 2): m/s, entry t before step t
+    transition: a `Transition` of arrays (E, T)
+    reward (E, T): what each step paid
+    discounted_return (E,): the rewards' discounted sum from the first step on
+    outcome (E,): "success", "collision" or "timeout"
+    time (E,): s until the end
+    played (E, T): bool, which steps took place
     """
 
     scenes: Scenes
     simulation: Simulation
-    steps: np.ndarray  # (E,)
-    position: np.ndarray  # (E, T + 1, N, 2) m
-    velocity: np.ndarray  # (E, T + 1, N, 2) m/s
-    transition: Transition  # (E, T)
-    reward: np.ndarray  # (E, T)
-    discounted_return: np.ndarray  # (E,) from the first step on
+    steps: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    transition: Transition
+    reward: np.ndarray
+    discounted_return: np.ndarray
 
     @property
     def outcome(self) -> np.ndarray:
@@ -85,27 +98,36 @@ def play(
     scenes: Scenes,
     policy: str | Policy,
     *,
-    reward: str | Reward = "crowd",
+    reward: str | Reward | OwnReward = "crowd",
     robot_visible: bool = True,
     safety_space: float = 0.0,
     crowd: str = "orca",
     discount: float = 0.9,
 ) -> Record:
-    """Play every scene to its end with `policy` (a name, or what `load_policy` returns) and return the record.
+    """Play every scene to its end with `policy` and return the record.
 
-    `reward` is a name, "file.py:function" or a `Reward` with its numbers; `safety_space` (m) widens the discs when
-    ORCA drives the robot; `crowd` is "orca" or "sfm"; `discount` is gamma per second at 1 m/s.
+    `policy` is a name ("orca", "sarl", a run folder, a weights file: see `load_policy`) or a function that is called
+    before every step with the `World` of the E episodes that go on and with the people's coming velocities (E, N, 2) in
+    m/s, both read-only, and returns the robots' velocities (E, 2) in m/s, none faster than its v_pref.
+
+    `reward` is "crowd", "sfm", "sfm-discount", "file.py:function", a `Reward` with its numbers, or a function that is
+    given a `Transition` and `Reward()` and returns an array, a number a transition. `safety_space` (m) widens the
+    discs when ORCA drives the robot; `crowd` is "orca" or "sfm"; `discount` is gamma per second at 1 m/s.
+
+    Raises ConfigError where an argument is none of these, and where a policy or reward returns anything else.
     """
-    settings = reward if isinstance(reward, Reward) else Reward(reward=reward)
+    if not isinstance(scenes, Scenes):
+        raise ConfigError(f"scenes is {kind(scenes)}; it takes Scenes, as sample_scenes('circle5', 100) makes them")
+    settings = as_reward(reward)
     simulation = Simulation(crowd=crowd, robot_visible=robot_visible, safety_space=safety_space)
     discount = Config(discount=discount).discount  # held to its range
-    return play_episodes(scenes, find_policy(policy), settings, simulation, discount=discount)
+    return play_episodes(scenes, find_policy(policy, reward), settings, simulation, discount=discount)
 
 
 def play_episodes(
     scenes: Scenes,
     policy: Policy,
-    reward: Reward,
+    reward: Reward | OwnReward,
     simulation: Simulation,
     *,
     discount: float = 0.9,
@@ -127,9 +149,7 @@ def play_episodes(
     world, waiting = whole.take(np.arange(min(batch, count))), min(batch, count)
     while len(world):
         moves = crowd_velocities(world)
-        action = policy(world, moves)
-        if not np.isfinite(action).all():
-            raise ValueError("the policy's action is not finite; every episode needs a velocity (2,) in m/s")
+        action = _choice(policy, world, moves)
         step = transition(world, action)
         if not steps.any():
             terms(step)  # a reward that cannot be used is better found now than after the last episode
@@ -152,6 +172,25 @@ def play_episodes(
     first = returns_of(rewards, step_discount(discount, scenes.v_pref[:, 0], simulation))[:, :1].sum(1)
     position, velocity = position[:, : steps_taken + 1], velocity[:, : steps_taken + 1]
     return Record(scenes, simulation, steps, position, velocity, kept, rewards, first)
+
+
+def _choice(policy: Policy, world: World, moves: np.ndarray) -> np.ndarray:
+    """The policy's actions (E, 2) in m/s; raises ConfigError where it returns anything else, or changes the world."""
+    name = f"policy {name_of(policy)}"
+    try:
+        given = policy(read_only(world), read_only(moves))
+    except (ValueError, AttributeError) as error:
+        if not is_write(error):
+            raise
+        raise fault(name, policy, error) from error
+    action = numbers(name, policy, given, (len(world), 2), "a velocity (x, y) in m/s for each episode")
+    speed, v_pref = length(action), world.v_pref[:, 0]
+    if (speed > v_pref + TOLERANCE).any():
+        e = int((speed - v_pref).argmax())
+        raise ConfigError(
+            f"{name} returned a velocity of {speed[e]:.4g} m/s; it must return none above v_pref, {v_pref[e]:.4g} m/s"
+        )
+    return action
 
 
 def rewards_of(transition: Transition, steps: np.ndarray, terms: Callable[[Transition], Terms]) -> np.ndarray:
@@ -198,8 +237,10 @@ def _empty_transition(count: int, steps: int, elements: int) -> Transition:
     """A transition of (E, T) arrays to be filled in."""
     return Transition(
         time=np.full((count, steps), np.nan),
+        time_step=np.full((count, steps), np.nan),
         velocity=np.full((count, steps, 2), np.nan),
         preferred_velocity=np.full((count, steps, 2), np.nan),
+        goal_distance_before=np.full((count, steps), np.nan),
         goal_distance=np.full((count, steps), np.nan),
         separations=np.full((count, steps, elements), np.nan),
         outcome=np.full((count, steps), RUNNING),

@@ -14,6 +14,7 @@ from sfmrl.planner import solvable
 from sfmrl.policies import find_policy
 from sfmrl.progress import Progress, no_progress
 from sfmrl.recovery import RecoveringPolicy
+from sfmrl.rewards import OwnReward, as_reward
 from sfmrl.scenarios import sample_scenes
 from sfmrl.sweeps import Sweep, swept
 
@@ -22,7 +23,7 @@ RATES = ("success", "collision", "timeout")
 
 def evaluate(policy: str | Policy, **how: Any) -> dict[str, Any]:
     """The metrics (see `metrics`) of a policy over test episodes; arguments as for `evaluation_record`."""
-    policy = find_policy(policy)
+    policy = find_policy(policy, how.get("reward"))
     return metrics(evaluation_record(policy, **how), policy)
 
 
@@ -32,7 +33,7 @@ def evaluation_record(
     environment: str | None = None,
     episodes: int = 500,
     seed: int = 0,
-    reward: str | Reward | None = None,
+    reward: str | Reward | OwnReward | None = None,
     simulation: Simulation | None = None,
     phase: str = "test",
     sweep: Sweep | None = None,
@@ -47,9 +48,9 @@ def evaluation_record(
     """
     if episodes < 1:
         raise ConfigError(f"episodes is {episodes}; it must be at least 1")
-    chosen = find_policy(policy)
+    chosen = find_policy(policy, reward)
     own = getattr(chosen, "config", Config())
-    settings = own.reward if reward is None else reward if isinstance(reward, Reward) else Reward(reward=reward)
+    settings = own.reward if reward is None else as_reward(reward)
     environment = own.reinforcement.test_environment if environment is None else environment
     simulation = own.simulation if simulation is None else simulation
     sample = partial(sample_scenes, environment, episodes, seed, phase=phase)

@@ -9,7 +9,16 @@ import typer
 from sfmrl.config import ConfigError, counted, suggest
 from sfmrl.console import err, new_file, print_metrics, print_sheet, print_sweep, replay_command, say, say_result
 from sfmrl.files import csv_text
-from sfmrl.options import Environment, MapFile, Overwrite, PolicyName, Threads, option, settings_options
+from sfmrl.options import (
+    Environment,
+    MapFile,
+    Overwrite,
+    PolicyName,
+    Threads,
+    TrustReward,
+    option,
+    settings_options,
+)
 from sfmrl.session import choose, drawn
 
 app = typer.Typer()
@@ -33,6 +42,7 @@ def evaluate_command(
     as_json: Annotated[bool, option("print JSON", "--json")] = False,
     csv: Annotated[Path | None, option("write a line an episode, or a value of a sweep, to this file")] = None,
     overwrite: Overwrite = False,
+    trust_reward: TrustReward = False,
     threads: Threads = None,
     *,
     settings: dict[str, Any],
@@ -46,7 +56,7 @@ def evaluate_command(
     sweeps = [parse_sweep(text) for text in sweep or []]
     new_file(csv, "csv", overwrite)
     asked = drawn(map_file, environment)
-    chosen, name, config = choose(policy, settings, threads)
+    chosen, name, config = choose(policy, settings, threads, trust_reward)
     environment = config.reinforcement.test_environment if asked is None else asked
     how = {"environment": environment, "episodes": episodes, "seed": seed}
     how |= {"reward": config.reward, "simulation": config.simulation, "progress": show_progress(err)}
@@ -75,7 +85,7 @@ def evaluate_command(
         place = ("--map", map_file) if map_file else ("--environment", environment)
         if asked is None and environment != label(environment):
             place = None  # a run has its map with it
-        see = replay_command(policy, place, seed, failed[0], settings)
+        see = replay_command(policy, place, seed, failed[0], settings, trust_reward=trust_reward)
         say(f"{counted(len(failed), 'episode')} ({listed}) failed; see one: {see}")
         no_way = [str(failure["episode"]) for failure in result["failures"] if not failure["solvable"]]
         if no_way:
@@ -93,6 +103,7 @@ def compare_command(
     as_json: Annotated[bool, option("print JSON", "--json")] = False,
     csv: Annotated[Path | None, option("write a line an episode of each policy to this file")] = None,
     overwrite: Overwrite = False,
+    trust_reward: TrustReward = False,
     threads: Threads = None,
     *,
     settings: dict[str, Any],
@@ -110,7 +121,7 @@ def compare_command(
         raise ConfigError(f"compare takes two or more different policies; it got {', '.join(policies)}")
     new_file(csv, "csv", overwrite)
     environment = drawn(map_file, environment)
-    chosen = [choose(policy, settings, threads) for policy in policies]
+    chosen = [choose(policy, settings, threads, trust_reward) for policy in policies]
     first = chosen[0][2]
     environment = first.reinforcement.test_environment if environment is None else environment
     how = {"environment": environment, "episodes": episodes, "seed": seed}
@@ -130,7 +141,7 @@ def compare_command(
         success = {name: outcome == "success" for name, outcome in outcomes.items()}
         versus = next(name for name in policies[1:] if success[name] != success[policies[0]])
         place = ("--map", map_file) if map_file else ("--environment", environment)
-        say("see one: " + replay_command(policies[0], place, seed, number, settings, versus))
+        say("see one: " + replay_command(policies[0], place, seed, number, settings, versus, trust_reward))
 
 
 @app.command(epilog="Example: sfmrl models sarl-sfm6")

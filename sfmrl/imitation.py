@@ -14,6 +14,7 @@ import numpy as np
 from sfmrl.config import Config, ConfigError, Simulation
 from sfmrl.episodes import Record, play_episodes, returns_of, rewards_of
 from sfmrl.files import read_checked, write_atomically
+from sfmrl.geometry import length
 from sfmrl.learning import Fit, torch_threads
 from sfmrl.lookahead import step_discount
 from sfmrl.memory import Memory
@@ -27,6 +28,8 @@ from sfmrl.states import OWN, column_names
 from sfmrl.stopping import Interrupted, StopSignal
 
 DEMONSTRATIONS = "demonstrations.npz"
+DERIVED = ("time_step", "goal_distance_before")  # of a transition, what is not kept in that file
+STORED = [item.name for item in fields(Transition) if item.name not in DERIVED]
 
 
 def imitate(run: Run, progress: Progress, stop: StopSignal, *, threads: int = 1) -> ValueNetwork:
@@ -97,10 +100,13 @@ def fit_memory(fit: Fit, memory: Memory, progress: Progress, keep: Callable[[dic
 
 
 def save_demonstrations(record: Record, path: Path) -> str:
-    """Write a record's trajectories to a file, without the NaN behind each episode's end; returns its SHA-256."""
+    """Write a record's trajectories to a file, without the NaN behind each episode's end; returns its SHA-256.
+
+    What follows from them and from the simulation (`DERIVED`) is left out.
+    """
     moments = np.arange(record.position.shape[1]) <= record.steps[:, None]
     arrays = {f"scenes.{f.name}": getattr(record.scenes, f.name) for f in fields(Scenes)}
-    arrays |= {f"transition.{f.name}": getattr(record.transition, f.name)[record.played] for f in fields(Transition)}
+    arrays |= {f"transition.{name}": getattr(record.transition, name)[record.played] for name in STORED}
     arrays |= {"position": record.position[moments], "velocity": record.velocity[moments], "steps": record.steps}
     return write_atomically(path, lambda file: np.savez(file, **arrays))
 
@@ -112,8 +118,11 @@ def load_demonstrations(path: Path, simulation: Simulation) -> Record:
         scenes = Scenes(*(arrays[f"scenes.{f.name}"] for f in fields(Scenes)))
         played = np.arange(steps.max()) < steps[:, None]
         moments = np.arange(steps.max() + 1) <= steps[:, None]
-        transition = Transition(*(_spread(arrays[f"transition.{f.name}"], played) for f in fields(Transition)))
+        stored = {name: _spread(arrays[f"transition.{name}"], played) for name in STORED}
         position, velocity = _spread(arrays["position"], moments), _spread(arrays["velocity"], moments)
+    before = np.where(played, length(position[:, :-1, 0] - scenes.goal[:, None, 0]), np.nan)
+    time_step = np.where(played, simulation.time_step, np.nan)
+    transition = Transition(**stored, time_step=time_step, goal_distance_before=before)
     nothing = np.full(played.shape, np.nan)
     return Record(scenes, simulation, steps, position, velocity, transition, nothing, nothing[:, 0])
 

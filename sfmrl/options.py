@@ -63,6 +63,13 @@ Environment = Annotated[
         autocompletion=completion.environments,
     ),
 ]
+TrustReward = Annotated[
+    bool,
+    option(
+        "run the Python code that a run or weights file names as its reward (default only what --reward names)",
+        "--trust-reward",
+    ),
+]
 
 MapFile = Annotated[
     Path | None,

@@ -1,6 +1,7 @@
 """How the robot chooses, by name: straight for the goal, ORCA, the Social Force Model, or a trained SARL network."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from sfmrl.crowd import World, orca_crowd
 from sfmrl.folders import WEIGHTS
 from sfmrl.lookahead import Policy, SarlPolicy, available_cores
 from sfmrl.models import model_names, model_weights
+from sfmrl.own_code import kind, trusted
 from sfmrl.recovery import with_recovery
 from sfmrl.sfm import sfm_velocities
 
@@ -43,17 +45,23 @@ def sfm_policy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
 POLICIES: dict[str, Policy] = {"linear": linear_policy, "orca": orca_policy, "sfm": sfm_policy}
 
 
-def find_policy(policy: str | Policy) -> Policy:
-    """A policy from what `load_policy` takes, or the policy itself."""
-    return load_policy(policy) if isinstance(policy, (str, Path)) else policy
+def find_policy(policy: str | Path | Policy, reward: Any = None) -> Policy:
+    """A policy from what `load_policy` takes, or the policy itself; `reward`, which the user has named, may be run."""
+    if isinstance(policy, (str, Path)):
+        return load_policy(policy, trust_reward=getattr(reward, "reward", reward))
+    if not callable(policy):
+        raise ConfigError(f"policy is {kind(policy)}; it takes a name, or a function of (world, crowd_velocity)")
+    return policy
 
 
-def load_policy(name_or_path: str | Path, threads: int | None = None) -> Policy:
+def load_policy(name_or_path: str | Path, threads: int | None = None, *, trust_reward: bool | str = False) -> Policy:
     """The policy of a name: linear, orca, sfm, a model that comes with sfmrl (sarl, sarl-sfm6, ...), a run folder, or a
     weights file (sfmrl's or a CrowdNav SARL's).
 
-    A CrowdNav file says nothing of its reward: it looks ahead with CRI's. Raises ConfigError where there is no such
-    policy, DamagedFile where a run's weights are not what was written.
+    A CrowdNav file says nothing of its reward: it looks ahead with CrowdNav's. A network that was trained with a reward
+    of somebody's own looks ahead with that Python code, which is run only if `trust_reward` is True or its name,
+    file.py:function. Raises ConfigError where there is no such policy, DamagedFile where a run's weights are not what
+    was written.
     """
     if str(name_or_path) in POLICIES:
         return POLICIES[str(name_or_path)]
@@ -76,4 +84,5 @@ def load_policy(name_or_path: str | Path, threads: int | None = None) -> Policy:
     from sfmrl.weights import load_weights  # torch takes seconds to import: only for those who need it
 
     network, config = load_weights(path)
+    config = trusted(config, trust_reward)
     return with_recovery(SarlPolicy(network, config, threads or available_cores()), config.planner)

@@ -9,7 +9,16 @@ import typer
 
 from sfmrl.config import Config, ConfigError
 from sfmrl.console import new_file, out, say, say_result
-from sfmrl.options import Environment, MapFile, Overwrite, PolicyName, Threads, option, settings_options
+from sfmrl.options import (
+    Environment,
+    MapFile,
+    Overwrite,
+    PolicyName,
+    Threads,
+    TrustReward,
+    option,
+    settings_options,
+)
 from sfmrl.session import choose, drawn
 
 app = typer.Typer()
@@ -37,6 +46,7 @@ def ascii_render(
     cast: Annotated[Path | None, option("write a recording that asciinema and its like play")] = None,
     txt: Annotated[Path | None, option("write all frames, or stills, as plain text")] = None,
     overwrite: Overwrite = False,
+    trust_reward: TrustReward = False,
     threads: Threads = None,
     *,
     settings: dict[str, Any],
@@ -73,7 +83,8 @@ def ascii_render(
 
     if versus and not (room[0] >= BESIDE or room[1] >= STACKED):
         raise ConfigError(f"--versus needs {BESIDE} columns or {STACKED} lines; here are {room[0]} and {room[1]}")
-    replay = _play([policy, versus] if versus else [policy], (environment, episode, seed), settings, threads)
+    names = [policy, versus] if versus else [policy]
+    replay = _play(names, (environment, episode, seed), settings, threads, trust_reward)
     replay = dataclasses.replace(replay, ascii_only=ascii_only)
     if files:
         _write(files, replay, room, {"count": frames, "at": at}, speed)
@@ -114,6 +125,7 @@ def _play(
     where: tuple[str | None, int, int],
     settings: dict[str, Any],
     threads: int | None,
+    trust_reward: bool,
 ) -> Any:
     """A test episode as every policy plays it, in the world of the first one and judged by its reward.
 
@@ -126,7 +138,7 @@ def _play(
     from sfmrl.story import tell
 
     environment, episode, seed = where
-    policies = [choose(name, settings, threads) for name in names]
+    policies = [choose(name, settings, threads, trust_reward) for name in names]
     config = policies[0][2]
     scene = sample_scenes(environment or config.reinforcement.test_environment, [episode], seed)
     if reason := hindrance(scene, config.simulation.time_limit):

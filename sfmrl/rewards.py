@@ -1,21 +1,18 @@
 """Rewards as pure functions: a transition's arrays in, the reward's named terms out.
 
-`crowd` is CRI's sparse reward, `sfm` the paper's dense one, `sfm-discount` the same with a cost for arriving late.
-The episode's end is judged by the simulator (`outcome`), in CRI's order: time-out, collision, goal, too close;
-the paper's formulas are silent on time-outs (worth 0, as in CRI) and list the goal after discomfort.
+`crowd` is CrowdNav's sparse reward, `sfm` the paper's dense one, `sfm-discount` the same with a cost for arriving late.
+The episode's end is judged by the simulator (`outcome`), in CrowdNav's order: time-out, collision, goal, too close;
+the paper's formulas are silent on time-outs (worth 0, as in CrowdNav) and list the goal after discomfort.
 """
 
-import hashlib
-import importlib
-import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from pathlib import Path
 
 import numpy as np
 
 from sfmrl.config import ConfigError, Reward, suggest
 from sfmrl.geometry import length
+from sfmrl.own_code import fault, kind, load, name_of, numbers, read_only
 
 RUNNING, SUCCESS, COLLISION, TIMEOUT = range(4)
 OUTCOMES = np.array(["running", "success", "collision", "timeout"])
@@ -23,14 +20,27 @@ OUTCOMES = np.array(["running", "success", "collision", "timeout"])
 
 @dataclass(frozen=True)
 class Transition:
-    """What a reward may look at: one step of the robot, any leading axes (...), e.g. (E,), (E, A) or (E, T)."""
+    """What a reward is given: one step of the robot, with any leading axes (...), as (E,), (E, A) or (E, T).
 
-    time: np.ndarray  # (...) s, at the end of the step
-    velocity: np.ndarray  # (..., 2) m/s, the robot's during the step (its action)
-    preferred_velocity: np.ndarray  # (..., 2) m/s, of length v_pref, from the start of the step towards the goal
-    goal_distance: np.ndarray  # (...) m, at the end of the step
-    separations: np.ndarray  # (..., K) m, smallest gap to each element's disc during the step; +inf where absent
-    outcome: np.ndarray  # (...) RUNNING, SUCCESS, COLLISION or TIMEOUT
+    time (...): s, at the end of the step
+    time_step (...): s, how long the step takes
+    velocity (..., 2): m/s, the robot's during the step (its action)
+    preferred_velocity (..., 2): m/s, of length v_pref, from the start of the step towards the goal
+    goal_distance_before (...): m, from the robot to its goal at the start of the step
+    goal_distance (...): m, the same at the end of the step
+    separations (..., K): m, smallest gap to each element's disc during the step; +inf where absent
+    separation (...): m, the smallest of these; +inf with no elements
+    outcome (...): RUNNING, SUCCESS, COLLISION or TIMEOUT
+    """
+
+    time: np.ndarray
+    time_step: np.ndarray
+    velocity: np.ndarray
+    preferred_velocity: np.ndarray
+    goal_distance_before: np.ndarray
+    goal_distance: np.ndarray
+    separations: np.ndarray
+    outcome: np.ndarray
 
     @property
     def separation(self) -> np.ndarray:
@@ -46,9 +56,9 @@ Terms = dict[str, np.ndarray]
 
 
 def crowd_terms(transition: Transition, p: Reward) -> Terms:
-    """CRI's reward, the paper's first formula: terms by name, each (...)."""
+    """CrowdNav's reward, the paper's first formula; its slope is for a step of 0.25 s: terms by name, each (...)."""
     end, close = _cases(transition, p)
-    discomfort = p.discomfort_slope * (transition.separation - p.discomfort_distance)
+    discomfort = p.discomfort_slope * (transition.separation - p.discomfort_distance) * (transition.time_step / 0.25)
     return {
         "collision": np.where(end == COLLISION, p.collision, 0.0),
         "goal": np.where(end == SUCCESS, p.success, 0.0),
@@ -87,6 +97,7 @@ def _cases(transition: Transition, p: Reward) -> tuple[np.ndarray, np.ndarray]:
     return end, (end == RUNNING) & (transition.separation < p.discomfort_distance)
 
 
+OwnReward = Callable[[Transition, Reward], np.ndarray]
 REWARDS: dict[str, Callable[[Transition, Reward], Terms]] = {
     "crowd": crowd_terms,
     "sfm": sfm_terms,
@@ -94,39 +105,34 @@ REWARDS: dict[str, Callable[[Transition, Reward], Terms]] = {
 }
 
 
-def reward_terms(settings: Reward) -> Callable[[Transition], Terms]:
-    """The reward that `settings` names, as a function from a transition to terms by name that add up to the reward.
+def as_reward(reward: str | Reward | OwnReward) -> Reward | OwnReward:
+    """What `reward_terms` takes, from a reward's name too; raises ConfigError for anything else."""
+    if isinstance(reward, str):
+        return Reward(reward=reward)
+    if isinstance(reward, Reward) or callable(reward):
+        return reward
+    raise ConfigError(f"reward is {kind(reward)}; it takes a name, a Reward, or a function of (transition, settings)")
 
-    A student's own (`package.module:function` or `file.py:function`) takes (transition, settings) and returns an
-    array (...), which becomes the one term "reward". Raises ConfigError where there is no such reward, and where an
-    own reward returns another shape or numbers that are not finite.
+
+def reward_terms(reward: Reward | OwnReward) -> Callable[[Transition], Terms]:
+    """The reward that `reward` is or names, as a function from a transition to terms by name that add up to the reward.
+
+    A user's own (a function, or the name `file.py:function` or `package.module:function`) takes (transition, settings)
+    and returns an array (...), which becomes the one term "reward". Its arrays are copies, and read-only; a function's
+    settings are `Reward()`. Raises ConfigError where there is no such reward, and where an own one fails or returns
+    another shape or numbers that are not finite; UntrustedReward where a file has named it and not the user.
     """
-    name = settings.reward
+    if not isinstance(reward, Reward):
+        return _checked(reward, Reward(), name_of(reward))
+    name = reward.reward
     if name in REWARDS:
-        return lambda transition: REWARDS[name](transition, settings)
-    own = _load(name)
-
-    def checked(transition: Transition) -> Terms:
-        shape = np.shape(transition.outcome)
-        try:
-            reward = np.asarray(own(transition, settings), dtype=float)
-        except Exception as error:
-            raise ConfigError(f"reward {name} failed: {type(error).__name__}: {error}") from error
-        if reward.shape != shape:
-            raise ConfigError(
-                f"reward {name} returned shape {reward.shape}; it must be {shape}, one number a transition"
-            )
-        if not np.isfinite(reward).all():
-            raise ConfigError(f"reward {name} returned NaN or infinity; every transition needs a finite number")
-        return {"reward": reward}
-
-    return checked
-
-
-def reward_digest(settings: Reward) -> str | None:
-    """SHA-256 of the file that an own reward is in; None for one that is no file's."""
-    place, _, _ = settings.reward.rpartition(":")
-    return hashlib.sha256(Path(place).read_bytes()).hexdigest() if place.endswith(".py") else None
+        return lambda transition: REWARDS[name](transition, reward)
+    if ":" not in name:
+        raise ConfigError(
+            f"there is no reward {name!r}; choose {', '.join(REWARDS)}, or your own as file.py:function"
+            f"{suggest(name, REWARDS)}"
+        )
+    return _checked(load(name), reward, name)
 
 
 def total(terms: Terms) -> np.ndarray:
@@ -134,30 +140,16 @@ def total(terms: Terms) -> np.ndarray:
     return sum(terms.values())
 
 
-def _load(name: str) -> Callable[[Transition, Reward], np.ndarray]:
-    """The function that "package.module:function" or "path/to/file.py:function" names."""
-    place, colon, function = name.rpartition(":")
-    if not colon:
-        raise ConfigError(
-            f"there is no reward {name!r}; choose {', '.join(REWARDS)}, or your own as file.py:function"
-            f"{suggest(name, REWARDS)}"
-        )
-    try:
-        if place.endswith(".py"):
-            if not Path(place).is_file():
-                raise ConfigError(
-                    f"reward {name}: there is no file {place}; put it there, or write its path as seen from here"
-                )
-            spec = importlib.util.spec_from_file_location(Path(place).stem, place)
-            module = importlib.util.module_from_spec(spec)
-            spec.loader.exec_module(module)
-        else:
-            module = importlib.import_module(place)
-    except ConfigError:
-        raise
-    except (Exception, SystemExit) as error:
-        raise ConfigError(f"reward {name}: {place} cannot be imported: {type(error).__name__}: {error}") from error
-    own = getattr(module, function, None)
-    if not callable(own):
-        raise ConfigError(f"reward {name}: {place} has no function {function!r}{suggest(function, dir(module))}")
-    return own
+def _checked(own: OwnReward, settings: Reward, name: str) -> Callable[[Transition], Terms]:
+    def terms(transition: Transition) -> Terms:
+        copy = Transition(*(np.array(getattr(transition, item.name)) for item in fields(Transition)))
+        try:
+            paid = own(read_only(copy), settings)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            raise fault(f"reward {name}", own, error) from error
+        shape = np.shape(transition.outcome)
+        return {"reward": numbers(f"reward {name}", own, paid, shape, "one number a transition")}
+
+    return terms

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sfmrl import run_tables
+from sfmrl.config import Reward
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.evaluation import episode_rows, evaluation_record
 from sfmrl.folders import WEIGHTS
@@ -41,7 +42,7 @@ class Replay:
             raise Disagreement(f"it holds {len(kept.steps)} demonstrations, config.json asks for {settings.episodes}")
         count = min(self.episodes, settings.episodes)
         scenes = sample_scenes(settings.environment, count, run.config.seed, phase="imitation")
-        again = play_episodes(scenes, orca_policy, run.config.reward, simulation)
+        again = play_episodes(scenes, orca_policy, Reward(), simulation)  # whose paths depend on no reward
         kept = kept.take(np.arange(count))
         differ = (kept.outcome != again.outcome) | (kept.steps != again.steps)
         moments = again.position.shape[1]

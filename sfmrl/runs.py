@@ -33,7 +33,8 @@ from sfmrl.config import Config, ConfigError
 from sfmrl.files import DamagedFile, csv_text, read_checked, remove_checked, write_atomically
 from sfmrl.folders import RUNS, WEIGHTS, kind_of, run_folders
 from sfmrl.network import ValueNetwork, resolved
-from sfmrl.rewards import reward_digest, reward_terms
+from sfmrl.own_code import reward_digest
+from sfmrl.rewards import reward_terms
 from sfmrl.scenarios import parse_mix
 from sfmrl.variants import variant_name
 from sfmrl.weights import save_weights
@@ -165,7 +166,7 @@ def _same_run(folder: Path, kind: str, config: Config) -> Run:
         begun, asked = (line.strip(" ,") for line in pair)
         if begun != asked:
             raise ConfigError(f"{folder} was begun with {begun}, not {asked}; name another --run")
-    return run
+    return replace(run, config=config)
 
 
 def _new_folder(name: str) -> Path:

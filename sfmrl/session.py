@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,20 +15,23 @@ from sfmrl.variants import make_config
 
 def new_config(variant: str | None, settings: dict[str, Any]) -> Config:
     """The config of a new training from the options that were given."""
+    from sfmrl.own_code import absolute
+
     preset = settings.pop("preset", "quick")
-    place, colon, function = settings.get("reward", {}).get("reward", "").rpartition(":")
-    if place.endswith(".py"):  # found again from wherever the run is used
-        settings["reward"]["reward"] = f"{Path(place).resolve()}{colon}{function}"
+    if name := settings.get("reward", {}).get("reward"):
+        settings["reward"]["reward"] = absolute(name)
     return make_config(preset, variant or "sarl", **settings)
 
 
-def reopen(kind: str, folder: Path, given: list[Any]) -> Any:
+def reopen(kind: str, folder: Path, given: list[Any], trust_reward: bool) -> Any:
     """The run to go on with; its settings are its own, so no other may be given."""
+    from sfmrl.own_code import trusted
     from sfmrl.runs import open_run
 
     if any(value is not None for value in given):
         raise ConfigError(f"--resume takes every setting from {folder}; leave out all but --threads")
-    return open_run(folder, kind)
+    run = open_run(folder, kind)
+    return replace(run, config=trusted(run.config, trust_reward))
 
 
 def existing(folder: Path | None, overwrite: bool, go_on: bool) -> dict[str, bool]:
@@ -58,18 +62,21 @@ def use_threads(threads: int | None) -> int:
 
 def train(run: Any, work: Callable[..., Any]) -> Any:
     """Do a training's work; when it is asked to stop, say how to go on and exit with 130."""
+    from sfmrl.own_code import reward_digest
     from sfmrl.progress import show_progress
-    from sfmrl.rewards import reward_digest
+    from sfmrl.rewards import REWARDS, reward_terms
     from sfmrl.runs import sole_use
     from sfmrl.stopping import Interrupted, StopSignal
 
-    how = f"sfmrl {run.kind} --resume {shlex.quote(str(run.folder))}"
+    trust = "" if run.config.reward.reward in REWARDS else " --trust-reward"
+    how = f"sfmrl {run.kind} --resume {shlex.quote(str(run.folder))}{trust}"
     if run.finished:
         next_step = f"test it with sfmrl eval {shlex.quote(str(run.folder))}, or begin another run"
         raise ConfigError(f"{run.folder} is finished; there is nothing to go on with: {next_step}")
     say(f"run folder {run.folder}")
     if run.facts.get("own_reward") != reward_digest(run.config.reward):
         raise ConfigError(f"{run.config.reward.reward} has changed since {run.folder} began; start a new run with it")
+    reward_terms(run.config.reward)  # which says why if it cannot, or must not, be used
     with sole_use(run), StopSignal(say) as stop:
         try:
             return work(show_progress(err), stop)
@@ -78,13 +85,20 @@ def train(run: Any, work: Callable[..., Any]) -> Any:
             raise typer.Exit(130) from None
 
 
-def choose(policy: str | None, settings: dict[str, Any], threads: int | None) -> tuple[Any, str, Config]:
-    """The policy to play, its name, and its config with the options that were given."""
+def choose(
+    policy: str | None, settings: dict[str, Any], threads: int | None, trust_reward: bool
+) -> tuple[Any, str, Config]:
+    """The policy to play, its name, and its config with the options that were given.
+
+    The reward that a network looks ahead with is run if it is sfmrl's, if --reward names it, or with --trust-reward.
+    """
     from sfmrl.policies import POLICIES, load_policy
     from sfmrl.recovery import with_recovery
 
     name = policy or newest()
-    chosen = load_policy(name) if name in POLICIES else load_policy(name, use_threads(threads))
+    trust = trust_reward or settings.get("reward", {}).get("reward", False)
+    how = (name,) if name in POLICIES else (name, use_threads(threads))
+    chosen = load_policy(*how, trust_reward=trust)
     config = override(getattr(chosen, "config", Config()), settings)
     return with_recovery(chosen, config.planner), name, config
 

@@ -10,7 +10,16 @@ import typer
 from sfmrl import completion
 from sfmrl.console import err, new_file, out, say, say_finding, say_result
 from sfmrl.files import csv_text
-from sfmrl.options import Environment, MapFile, Overwrite, PolicyName, Threads, option, settings_options
+from sfmrl.options import (
+    Environment,
+    MapFile,
+    Overwrite,
+    PolicyName,
+    Threads,
+    TrustReward,
+    option,
+    settings_options,
+)
 from sfmrl.session import choose, drawn, use_threads
 
 app = typer.Typer()
@@ -31,6 +40,7 @@ def explain(
     as_json: Annotated[bool, option("print JSON: all steps, all numbers", "--json")] = False,
     csv: Annotated[Path | None, option("write a line a step, all numbers, to this file")] = None,
     overwrite: Overwrite = False,
+    trust_reward: TrustReward = False,
     threads: Threads = None,
     *,
     settings: dict[str, Any],
@@ -43,7 +53,7 @@ def explain(
 
     new_file(csv, "csv", overwrite)
     environment = drawn(map_file, environment)
-    chosen, name, config = choose(policy, settings, threads)
+    chosen, name, config = choose(policy, settings, threads, trust_reward)
     environment = config.reinforcement.test_environment if environment is None else environment
     scene = sample_scenes(environment, [episode], seed)
     record = play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount)
@@ -74,18 +84,21 @@ def verify(
         float | None,
         option("share of them that may end otherwise (default 0, or 0.05 if versions or processor differ)"),
     ] = None,
+    trust_reward: TrustReward = False,
     threads: Threads = None,
 ) -> None:
     """Check a run that was handed in: files against SHA256SUMS, tables against each other, weights by playing again.
 
     Exit code 0 if all that could be checked agrees, else 1. Digests and tables can be forged by whoever computes them
-    anew; that weights do what the tables say cannot, but not who trained them, or how.
+    anew; that weights do what the tables say cannot, but not who trained them, or how. A reward of the run's own is
+    Python code, and is run only with --trust-reward: read it first.
     """
     from sfmrl.progress import show_progress
     from sfmrl.verification import verify as findings_of
 
     found = []
-    for finding in findings_of(run, episodes, tolerance, use_threads(threads), show_progress(err)):
+    how = (episodes, tolerance, use_threads(threads), show_progress(err))
+    for finding in findings_of(run, *how, trust_reward=trust_reward):
         say_finding(finding.what, finding.agrees, finding.said)
         found.append(finding)
     wrong = [finding.what for finding in found if finding.agrees is False]

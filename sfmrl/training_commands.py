@@ -15,6 +15,7 @@ from sfmrl.options import (
     Resume,
     RunFolder,
     Threads,
+    TrustReward,
     Variant,
     option,
     settings_options,
@@ -32,6 +33,7 @@ def il(
     resume: Resume = None,
     overwrite: Overwrite = False,
     go_on: Continue = False,
+    trust_reward: TrustReward = False,
     threads: Threads = None,
     *,
     settings: dict[str, Any],
@@ -42,7 +44,8 @@ def il(
 
     workers = use_threads(threads)
     if resume:
-        current = reopen("il", resume, [variant, run, overwrite or None, go_on or None, *settings.values()])
+        given = [variant, run, overwrite or None, go_on or None, *settings.values()]
+        current = reopen("il", resume, given, trust_reward)
     else:
         current = create_run("il", new_config(variant, settings), run, **existing(run, overwrite, go_on))
     if go_on and finished(current):
@@ -75,6 +78,7 @@ def rl(
     resume: Resume = None,
     overwrite: Overwrite = False,
     go_on: Continue = False,
+    trust_reward: TrustReward = False,
     threads: Threads = None,
     *,
     settings: dict[str, Any],
@@ -87,7 +91,7 @@ def rl(
     workers = use_threads(threads)
     if resume:
         flags = (from_scratch or None, overwrite or None, go_on or None)
-        current = reopen("rl", resume, [variant, source, map_file, run, *flags, *settings.values()])
+        current = reopen("rl", resume, [variant, source, map_file, run, *flags, *settings.values()], trust_reward)
     else:
         if source and from_scratch:
             raise ConfigError("--from and --from-scratch exclude each other; leave out one of them")

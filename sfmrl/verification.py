@@ -6,7 +6,7 @@ Whoever computes digests and tables anew can deceive the first two, but not the 
 import hashlib
 import shlex
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +16,9 @@ from sfmrl.files import SUMS, DamagedFile, read_sums
 from sfmrl.folders import WEIGHTS
 from sfmrl.imitation import DEMONSTRATIONS
 from sfmrl.network import resolved
+from sfmrl.own_code import UntrustedReward, reward_digest, trusted
 from sfmrl.progress import Progress
 from sfmrl.reinforcement import BEST
-from sfmrl.rewards import reward_digest
 from sfmrl.run_replay import Replay
 from sfmrl.run_tables import Disagreement
 from sfmrl.runs import Run, open_run, versions
@@ -38,9 +38,18 @@ class Finding:
     said: str
 
 
-def verify(folder: Path, episodes: int, tolerance: float | None, threads: int, progress: Progress) -> Iterator[Finding]:
+def verify(
+    folder: Path,
+    episodes: int,
+    tolerance: float | None,
+    threads: int,
+    progress: Progress,
+    *,
+    trust_reward: bool = False,
+) -> Iterator[Finding]:
     """Findings on a run folder, one after another; of test episodes, or demonstrations, `episodes` are replayed.
 
+    A reward that is Python code is run only with `trust_reward`, and if it is the file that the run was trained with.
     `tolerance` is the share of them that may end otherwise: by default none, or `ELSEWHERE` where versions or processor
     are not those of the run. Raises ConfigError where there is no run folder.
     """
@@ -56,8 +65,10 @@ def verify(folder: Path, episodes: int, tolerance: float | None, threads: int, p
         return
     yield _finding("training", _finished, run)
     yield _finding(WEIGHTS, _weights, run)
-    if run.config.reward.reward.count(":"):
-        yield _finding("reward", _own_reward, run)
+    if ":" in run.config.reward.reward:
+        own = _finding("reward", _own_reward, run, trust_reward)
+        yield own
+        run = replace(run, config=trusted(run.config, own.agrees is True))
     here = _finding("versions", _versions, run)
     yield here
     allowed = (ELSEWHERE if here.agrees is None else 0.0) if tolerance is None else tolerance
@@ -83,6 +94,8 @@ def _finding(what: str, check: Callable[..., str | Finding], *given: Any) -> Fin
         return said if isinstance(said, Finding) else Finding(what, True, said)
     except FileNotFoundError as error:
         return Finding(what, False, f"there is no {Path(error.filename or what).name}")
+    except UntrustedReward:
+        return Finding(what, None, "not checked: the network chooses by its reward, which was not run")
     except (Disagreement, ConfigError, DamagedFile, OSError) as error:
         return Finding(what, False, str(error))
     except ODD as error:
@@ -120,13 +133,15 @@ def _weights(run: Run) -> str:
     return f"{len(network.flat):,} parameters, all finite, trained under config.json"
 
 
-def _own_reward(run: Run) -> str:
+def _own_reward(run: Run, trust: bool) -> str | Finding:
+    """Whether a run's own reward is there and unchanged; not judged, and not to be run, without `trust`."""
     name = run.config.reward.reward
-    place = name.rpartition(":")[0]
-    if place.endswith(".py") and not Path(place).is_file():
-        raise Disagreement(f"without {place} it cannot be played; ask for that file, and put it there")
     if run.facts["own_reward"] != reward_digest(run.config.reward):
         raise Disagreement(f"{name} is not the file that the run was trained with; put that one there")
+    if not trust:
+        unchecked = "that the network does what test.csv and result.json say" if run.kind == "rl" else "nothing here"
+        said = f"{name} was not run, which leaves unchecked {unchecked}; read that code, then add --trust-reward"
+        return Finding("reward", None, said)
     return f"{name} is what the run was trained with"
 
 

@@ -42,7 +42,8 @@ def hand_made_record() -> Record:
     gaps = np.where(played[..., None], np.arange(24.0).reshape(4, 3, 2), np.nan)
     gaps[2, 0] = [-0.1, np.inf]
     hollow = np.where(played, 0.0, np.nan)
-    step = Transition(hollow, np.zeros((4, 3, 2)), np.zeros((4, 3, 2)), hollow, gaps, outcome)
+    still = np.zeros((4, 3, 2))
+    step = Transition(hollow, hollow, still, still, hollow, hollow, gaps, outcome)
     scenes = Scenes(
         np.zeros((4, 3, 2)), np.ones((4, 3, 2)), environment=np.array(["1", "2", "2", "1"]), episode=[7, 8, 9, 10]
     )

@@ -36,6 +36,7 @@ LEVELS = (
         "scenarios",
         "planner",
         "drawings",
+        "own_code",
         "rewards",
         "crowd",
         "actions",

@@ -53,8 +53,10 @@ def record_of(position, *, outcome=SUCCESS, separations=None, square=False, goal
         separations = np.full((steps, rows - 1), np.inf)
     transition = Transition(
         time=0.25 * np.arange(1, steps + 1),
+        time_step=np.full(steps, 0.25),
         velocity=velocity[1:, 0],
         preferred_velocity=np.tile((0.0, 1.0), (steps, 1)),
+        goal_distance_before=np.hypot(*(position[:-1, 0] - goals[0]).T),
         goal_distance=np.hypot(*(position[1:, 0] - goals[0]).T),
         separations=np.asarray(separations, dtype=float),
         outcome=outcomes,

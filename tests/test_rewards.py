@@ -27,10 +27,12 @@ from sfmrl.scenarios import Scenes, sample_scenes
 NAMES = ("crowd", "sfm", "sfm-discount")
 
 
-def one_transition(outcome: int, gap: float = np.inf, time=5.0, v=(0.5, 0.5), v_pref=(0.0, 1.0), d_g=3.0) -> Transition:
+def one_transition(
+    outcome: int, gap: float = np.inf, time=5.0, v=(0.5, 0.5), v_pref=(0.0, 1.0), d_g=3.0, dt=0.25
+) -> Transition:
     """A batch of one, with two elements of which the second is farther away."""
     gaps = [[gap, gap + 1.0]]
-    return Transition(*map(np.array, ([time], [v], [v_pref], [d_g], gaps, [outcome])))
+    return Transition(*map(np.array, ([time], [dt], [v], [v_pref], [d_g + 0.1], [d_g], gaps, [outcome])))
 
 
 def crowd_reward(outcome: int, gap: float) -> float:
@@ -80,8 +82,10 @@ def random_transitions(seed: int, count: int = 200, elements: int = 4) -> Transi
     separations[outcome == COLLISION, 0] = -rng.uniform(0, 0.6, (outcome == COLLISION).sum())
     return Transition(
         time=0.25 * rng.integers(1, 98, count),
+        time_step=np.full(count, 0.25),
         velocity=rng.normal(size=(count, 2)),
         preferred_velocity=rng.normal(size=(count, 2)),
+        goal_distance_before=rng.uniform(0, 9, count),
         goal_distance=rng.uniform(0, 9, count),
         separations=separations,
         outcome=outcome,

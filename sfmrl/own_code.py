@@ -1,0 +1,142 @@
+"""Users' own Python functions: rewards and policies, and the files that rewards are in.
+
+They are given what they cannot change, so that none can forge a result, and each of their slips is one line of error.
+A reward that a run or weights file names is `Untrusted` and is not run: code does not travel with files.
+"""
+
+import hashlib
+import importlib
+import runpy
+import traceback
+from collections.abc import Callable
+from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sfmrl.config import Config, ConfigError, Reward, Untrusted, suggest
+
+
+class UntrustedReward(ConfigError):
+    """A reward that is not run, since a file has named it and not the user."""
+
+
+def read_only(thing: Any) -> Any:
+    """An array, or a dataclass of arrays, as a view that cannot be written to."""
+    if isinstance(thing, np.ndarray):
+        thing = thing.view()
+        thing.flags.writeable = False
+    elif is_dataclass(thing):
+        parts = {item.name: getattr(thing, item.name) for item in fields(thing)}
+        views = {name: read_only(part) for name, part in parts.items()}
+        if any(views[name] is not part for name, part in parts.items()):
+            return replace(thing, **views)
+    return thing
+
+
+def is_write(error: BaseException) -> bool:
+    """Whether `error` is what an attempt to change something `read_only` raises."""
+    return isinstance(error, FrozenInstanceError) or (type(error) is ValueError and "read-only" in str(error))
+
+
+def fault(who: str, function: Callable, error: BaseException) -> ConfigError:
+    """The error to raise where a user's function has raised `error`: its line of code, and what to change."""
+    if is_write(error):
+        remedy = "what it is given is read-only: work on a copy, as numpy.array(...) makes one"
+    elif isinstance(error, Exception):
+        remedy = "correct that line"
+    else:
+        remedy = "it must return, and not end the program"
+    file = getattr(getattr(function, "__code__", None), "co_filename", "")
+    return ConfigError(f"{who}{_line(error, file)} failed: {_text(error)}; {remedy}")
+
+
+def numbers(who: str, function: Callable, returned: Any, shape: tuple[int, ...], meaning: str) -> np.ndarray:
+    """What a user's function returned, as floats of this shape; raises ConfigError where it is anything else."""
+    line = getattr(getattr(function, "__code__", None), "co_firstlineno", None)
+    who += f" (line {line})" if line else ""
+    try:
+        array = None if returned is None else np.asarray(returned, dtype=float)
+    except (TypeError, ValueError):
+        array = None
+    if array is None or array.shape != shape:
+        what = kind(returned) if array is None or not array.ndim else f"an array of shape {array.shape}"
+        raise ConfigError(f"{who} returned {what}; it must return an array of shape {shape}, {meaning}")
+    if not np.isfinite(array).all():
+        raise ConfigError(f"{who} returned NaN or infinity; it must return finite numbers, {meaning}")
+    return array
+
+
+def name_of(function: Callable) -> str:
+    """What an error message calls a function, or another callable."""
+    return getattr(function, "__name__", type(function).__name__)
+
+
+def kind(thing: Any) -> str:
+    """What an error message calls an argument, or a returned value, of another type than is wanted."""
+    return repr(thing) if isinstance(thing, (str, int, float, type(None))) else f"a {type(thing).__name__}"
+
+
+def load(name: str) -> Callable:
+    """The function that "file.py:function" or "package.module:function" names.
+
+    Raises UntrustedReward where the name is a file's, ConfigError where there is no such function.
+    """
+    if isinstance(name, Untrusted):
+        raise UntrustedReward(
+            f"reward {name} is Python code that a run or weights file names, so it is not run; if you trust that code, "
+            f"add --trust-reward, or --reward {name} (in Python: load_policy(..., trust_reward=True))"
+        )
+    place, _, function = name.rpartition(":")
+    file = _file(name)
+    try:
+        known = runpy.run_path(str(file)) if file else vars(importlib.import_module(place))
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        raise ConfigError(f"reward {name}{_line(error, str(file))} cannot be imported: {_text(error)}") from error
+    if not callable(known.get(function)):
+        raise ConfigError(f"reward {name}: {place} has no function {function!r}{suggest(function, known)}")
+    return known[function]
+
+
+def trusted(config: Config, trust: bool | str) -> Config:
+    """The config with a reward that may be run, if `trust` is True or the name of this very reward."""
+    name = config.reward.reward
+    named = type(trust) is str and absolute(trust) == absolute(name)
+    return replace(config, reward=replace(config.reward, reward=str(name))) if trust is True or named else config
+
+
+def absolute(name: str) -> str:
+    """A reward's name, by which its file is found from any folder if it is in one."""
+    place, colon, function = name.rpartition(":")
+    return f"{Path(place).resolve()}{colon}{function}" if place.endswith(".py") else name
+
+
+def reward_digest(settings: Reward) -> str | None:
+    """SHA-256 of the file that an own reward is in, None without a file; raises ConfigError if it is missing."""
+    file = _file(settings.reward)
+    return hashlib.sha256(file.read_bytes()).hexdigest() if file else None
+
+
+def _file(name: str) -> Path | None:
+    place = name.rpartition(":")[0]
+    if not place.endswith(".py"):
+        return None
+    if not Path(place).is_file():
+        raise ConfigError(f"reward {name}: there is no file {place}; put it there, or write its path as seen from here")
+    return Path(place)
+
+
+def _line(error: BaseException, file: str) -> str:
+    """The line of a file in which an exception was raised, as " (line 7)"; "" where it was elsewhere."""
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
+    if isinstance(error, SyntaxError) and error.filename == file:
+        lines.append(error.lineno)
+    return f" (line {lines[-1]})" if lines else ""
+
+
+def _text(error: BaseException) -> str:
+    """An exception in one line."""
+    return " ".join(f"{type(error).__name__}: {error}".rstrip(": ").split())
