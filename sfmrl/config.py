@@ -257,5 +257,5 @@ CROWD_FORCE = SocialForce(a=7.0, b=0.3, d=0.6, k=2.0)
 
 # What `help(sfmrl.Reward)` and the like show: every knob with its help text.
 for _settings in (SocialForce, Simulation, Reward, Planner, Imitation, Reinforcement, Config):
-    _lines = [f"    {item.name}: {item.metadata['help']}" for item in fields(_settings) if item.metadata]
+    _lines = [f"    {item.name}: {item.metadata.get('help', 'its section')}" for item in fields(_settings)]
     _settings.__doc__ = "\n".join((f"{_settings.__doc__}\n", *_lines))

@@ -27,9 +27,12 @@ UNREACHABLE = 500.0  # m: longer than any path, shorter than a cell of a square
 
 @dataclass(frozen=True)
 class Geodesics:
-    """Distances to the goal over the grids of E scenes, (E, Y, X) float32 in m, +inf beyond a scene's own grid.
+    """Distances to the goal over the grids of E scenes.
 
-    `corner` (E, 2) is where the first cell's centre is, in m; `size` (E, 2) how many cells a grid has in x and y.
+    values (E, Y, X): m, float32, +inf beyond a scene's own grid
+    corner (E, 2): m, where the first cell's centre is
+    size (E, 2): how many cells a grid has in x and y
+    resolution: m, side of a cell
     """
 
     values: np.ndarray

@@ -1,7 +1,10 @@
 """What is built, and how the package is put together: the wheel, its dependencies, who imports whom."""
 
 import ast
+import dataclasses
 import importlib.util
+import pydoc
+import re
 import shutil
 import subprocess
 import sys
@@ -124,6 +127,20 @@ def test_importing_sfmrl_costs_nothing_and_every_name_it_promises_is_there():
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "module 'sfmrl' has no attribute 'nothing'"
+
+
+@pytest.mark.parametrize("name", sfmrl.__all__)
+def test_help_shows_every_field_of_what_holds_data(name):
+    shown = getattr(sfmrl, name)
+    described = set(re.findall(r"\w+", shown.__doc__ or ""))
+    fields = dataclasses.fields(shown) if dataclasses.is_dataclass(shown) else ()
+    assert {item.name for item in fields} <= described
+
+
+def test_help_says_what_a_policy_and_a_reward_are_given_and_return():
+    shown = " ".join(pydoc.render_doc(sfmrl.play, renderer=pydoc.plaintext).split())
+    for said in ("with the `World`", "velocities (E, N, 2)", "returns the robots' velocities (E, 2)", "a `Transition`"):
+        assert said in shown
 
 
 def test_the_wheel_holds_sfmrl_alone_and_asks_for_four_packages(tmp_path):

@@ -11,13 +11,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from conftest import environment
 
 from sfmrl.config import Config, ConfigError
 from sfmrl.files import SUMS, DamagedFile, read_checked, read_sums, write_atomically
-from sfmrl.imitation import DEMONSTRATIONS, imitate, load_demonstrations
+from sfmrl.imitation import DEMONSTRATIONS, demonstrate, imitate, load_demonstrations
 from sfmrl.network import resolved
 from sfmrl.policies import WEIGHTS, load_policy
 from sfmrl.progress import no_progress
@@ -142,6 +143,17 @@ def test_damaged_demonstrations_are_named(folder):
         load_demonstrations(folder / DEMONSTRATIONS, TINY.simulation)
     with pytest.raises(DamagedFile, match=rf"{DEMONSTRATIONS} is damaged"):
         imitate(open_run(folder), no_progress, StopSignal())
+
+
+def test_demonstrations_are_read_as_they_were_played_also_from_a_file_of_sfmrl_0_1(folder):
+    """What a transition has had since then follows from the trajectories, and the file is what it was."""
+    with np.load(folder / DEMONSTRATIONS) as arrays:
+        kept = {name.removeprefix("transition.") for name in arrays if name.startswith("transition.")}
+    assert kept == {"time", "velocity", "preferred_velocity", "goal_distance", "separations", "outcome"}
+    read, played = load_demonstrations(folder / DEMONSTRATIONS, TINY.simulation), demonstrate(TINY, no_progress)
+    for name, values in vars(played.transition).items():
+        np.testing.assert_array_equal(getattr(read.transition, name), values, err_msg=name)
+        assert getattr(read.transition, name).dtype == values.dtype
 
 
 def test_a_damaged_checkpoint_is_named_and_the_one_before_offered(interrupted):

@@ -50,8 +50,8 @@ def copy(handed_in: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(handed_in, tmp_path / "copy"))
 
 
-def findings(folder: Path, episodes: int = 6, tolerance: float | None = None) -> dict[str, Finding]:
-    return {found.what: found for found in verify(folder, episodes, tolerance, 1, no_progress)}
+def findings(folder: Path, episodes: int = 6, tolerance: float | None = None, **how) -> dict[str, Finding]:
+    return {found.what: found for found in verify(folder, episodes, tolerance, 1, no_progress, **how)}
 
 
 def wrong(folder: Path, **how) -> set[str]:
@@ -167,6 +167,32 @@ def test_demonstrations_that_orca_did_not_give_are_found_out(copy):
     rewrite(run / "config.json", lambda text: text.replace('"seed": 0', '"seed": 1'))
     forge_sums(run)
     assert wrong(run) == {"weights.pt", "demonstrations"}
+
+
+def test_a_reward_in_a_python_file_is_run_only_if_trusted_and_unchanged(copy, tmp_path):
+    """Without trust nothing runs, and what that leaves unchecked is not judged."""
+    run, own, mark = copy / "rl", tmp_path / "own.py", tmp_path / "it-was-run"
+    own.write_text(
+        f"open({str(mark)!r}, 'a').close()\nfrom sfmrl.rewards import crowd_terms, total\n"
+        "def same(transition, settings):\n    return total(crowd_terms(transition, settings))\n"
+    )
+    rewrite(run / "config.json", lambda text: text.replace('"reward": "crowd"', f'"reward": "{own}:same"'))
+    digest = hashlib.sha256(own.read_bytes()).hexdigest()
+    rewrite(run / "run.json", lambda text: text.replace('"own_reward": null', f'"own_reward": "{digest}"'))
+    forge_sums(run)
+    found = findings(run)
+    assert not mark.exists()
+    unjudged = {name for name, finding in found.items() if finding.agrees is None}
+    assert unjudged == {"reward", "replay", "best replay", "recovery"}
+    assert "was not run, which leaves unchecked that the network does what test.csv" in found["reward"].said
+    trusting = findings(run, trust_reward=True)
+    assert mark.exists()
+    assert {trusting[name].agrees for name in unjudged} == {True}
+    mark.unlink()
+    own.write_text(own.read_text() + "# changed\n")
+    changed = findings(run, trust_reward=True)
+    assert (changed["reward"].agrees, changed["replay"].agrees) == (False, None)
+    assert not mark.exists()
 
 
 def test_other_versions_are_named_and_allowed_for(copy):
