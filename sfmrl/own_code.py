@@ -7,6 +7,7 @@ A reward that a run or weights file names is `Untrusted` and is not run: code do
 import hashlib
 import importlib
 import runpy
+import shlex
 import traceback
 from collections.abc import Callable
 from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
@@ -86,7 +87,7 @@ def load(name: str) -> Callable:
     if isinstance(name, Untrusted):
         raise UntrustedReward(
             f"reward {name} is Python code that a run or weights file names, so it is not run; if you trust that code, "
-            f"add --trust-reward, or --reward {name} (in Python: load_policy(..., trust_reward=True))"
+            f"add --trust-reward, or --reward {shlex.quote(name)} (in Python: load_policy(..., trust_reward=True))"
         )
     place, _, function = name.rpartition(":")
     file = _file(name)
