@@ -21,6 +21,8 @@ from sfmrl.console import say, say_result
 from sfmrl.files import DamagedFile
 from sfmrl.greeting import greeting
 
+LONGEST = 1000  # characters of an error's line: a value that was given may have thousands
+
 app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -61,5 +63,6 @@ def main() -> None:
     else:
         reason = ""
     if reason:
-        say(f"sfmrl: {reason}")
+        line = " ".join(reason.splitlines())
+        say(f"sfmrl: {line if len(line) <= LONGEST else line[:LONGEST] + ' ...'}")
     sys.exit(code or 0)

@@ -9,7 +9,7 @@ import difflib
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import Field, asdict, dataclass, field, fields, is_dataclass, replace
 from numbers import Integral, Real
 from typing import Any
 
@@ -23,40 +23,42 @@ class Untrusted(str):
 
 
 def knob(default: Any, help: str, *, least: float | None = None, most: float | None = None, choices: tuple = ()) -> Any:
-    """A dataclass field with its help text, and the range or choices that its values are held to."""
+    """A dataclass field with its help text, and the range or choices that its values are held to.
+
+    Every number has both ends, so that any value it may take gives finite numbers and work that can be done.
+    """
     return field(default=default, metadata={"help": help, "least": least, "most": most, "choices": choices})
 
 
-def _check(config: Any) -> None:
-    """Hold each field of a config dataclass to its type, range and choices."""
-    for item in fields(config):
-        value, default, meta = getattr(config, item.name), item.default, item.metadata
-        name = item.name.replace("_", "-")
-        if isinstance(default, bool):
-            if not isinstance(value, bool):
-                raise ConfigError(f"{name} is {value!r}; it takes true or false")
-        elif isinstance(default, (int, float)):
-            whole = isinstance(default, int)
-            if (
-                isinstance(value, bool)
-                or not isinstance(value, Integral if whole else Real)
-                or not math.isfinite(value)
-            ):
-                raise ConfigError(f"{name} is {value!r}; it takes {'a whole' if whole else 'a finite'} number")
-            value = int(value) if whole else float(value)
-            object.__setattr__(config, item.name, value)
-        elif isinstance(default, str) and not isinstance(value, str):
-            raise ConfigError(f"{name} is {value!r}; it takes text")
-        elif is_dataclass(item.default_factory) and not isinstance(value, item.default_factory):
-            raise ConfigError(f"{name} is {value!r}; it takes a {item.default_factory.__name__}")
-        if meta.get("least") is not None and value < meta["least"]:
-            raise ConfigError(f"{name} is {value}; it must be at least {meta['least']:g}")
-        if meta.get("most") is not None and value > meta["most"]:
-            raise ConfigError(f"{name} is {value}; it must be at most {meta['most']:g}")
-        if meta.get("choices") and value not in meta["choices"]:
-            raise ConfigError(
-                f"{name} is {value!r}; choose {', '.join(meta['choices'])}{suggest(value, meta['choices'])}"
-            )
+def checked(item: Field, value: Any) -> Any:
+    """A field's value, held to the field's type, range and choices; raises ConfigError."""
+    default, meta = item.default, item.metadata
+    name = item.name.replace("_", "-")
+    if isinstance(default, bool):
+        if not isinstance(value, bool):
+            raise ConfigError(f"{name} is {value!r}; it takes true or false")
+    elif isinstance(default, (int, float)):
+        whole = isinstance(default, int)
+        if isinstance(value, bool) or not isinstance(value, Integral if whole else Real) or value != value:
+            raise ConfigError(f"{name} is {value!r}; it takes a {'whole ' if whole else ''}number")
+        low, high = meta["least"], meta["most"]
+        if not low <= value <= high:
+            bound, end = ("at least", low) if value < low else ("at most", high)
+            raise ConfigError(f"{name} is {value}; it must be {bound} {end if whole else f'{end:g}'}")
+        value = int(value) if whole else float(value)
+    elif isinstance(default, str) and not isinstance(value, str):
+        raise ConfigError(f"{name} is {value!r}; it takes text")
+    elif is_dataclass(item.default_factory) and not isinstance(value, item.default_factory):
+        raise ConfigError(f"{name} is {value!r}; it takes a {item.default_factory.__name__}")
+    if meta.get("choices") and value not in meta["choices"]:
+        raise ConfigError(f"{name} is {value!r}; choose {', '.join(meta['choices'])}{suggest(value, meta['choices'])}")
+    return value
+
+
+PAY = {"least": -1e6, "most": 1e6}  # of rewards
+EPISODES = 100_000  # at once: what is recorded of all has to fit into memory
+STEPS = 100_000  # of an episode
+SEED = 2**63 - 1
 
 
 def counted(number: int, noun: str) -> str:
@@ -72,33 +74,42 @@ def suggest(word: Any, known: Any) -> str:
 
 class _Checked:
     def __post_init__(self) -> None:
-        _check(self)
+        for item in fields(self):
+            object.__setattr__(self, item.name, checked(item, getattr(self, item.name)))
 
 
 @dataclass(frozen=True)
 class SocialForce(_Checked):
     """Parameters of equations 1 and 2; the defaults are the paper's, for the robot's state."""
 
-    a: float = knob(1.0, "strength of the repulsion, m/s^2 (paper: a_z = 1)", least=0)
-    b: float = knob(1.0, "range of the repulsion, m (paper: b_z = 1)", least=1e-6)
-    d: float = knob(0.0, "distance at which the repulsion is a, m (paper: d_z = 0)")
-    k: float = knob(2.0, "rate at which the goal force corrects the velocity, 1/s", least=0)
+    a: float = knob(1.0, "strength of the repulsion, m/s^2 (paper: a_z = 1)", least=0, most=1000)
+    b: float = knob(1.0, "range of the repulsion, m (paper: b_z = 1)", least=0.01, most=1000)
+    d: float = knob(0.0, "distance at which the repulsion is a, m (paper: d_z = 0)", least=-3, most=3)
+    k: float = knob(2.0, "rate at which the goal force corrects the velocity, 1/s", least=0, most=1000)
 
 
 @dataclass(frozen=True)
 class Simulation(_Checked):
     """How the crowd moves and when an episode ends; CRI's values."""
 
-    time_step: float = knob(0.25, "length of a step, s", least=1e-3)
-    time_limit: float = knob(25.0, "an episode is timed out 1 s before this time, s (CRI)", least=1)
+    time_step: float = knob(0.25, "length of a step, s", least=1e-3, most=10)
+    time_limit: float = knob(25.0, "an episode is timed out 1 s before this time, s (CRI)", least=1, most=3600)
     crowd: str = knob("orca", "what drives the humans", choices=("orca", "sfm"))
     robot_visible: bool = knob(True, "the humans see the robot (paper: they do)")
-    safety_space: float = knob(0.0, "added to every radius when ORCA drives the robot, m", least=0)
-    clearance: float = knob(0.01, "added to every radius inside ORCA, m (CRI)", least=0)
-    neighbor_distance: float = knob(10.0, "ORCA: agents farther away are ignored, m (CRI)", least=0)
-    max_neighbors: int = knob(10, "ORCA: only so many nearest agents count (CRI)", least=0)
-    time_horizon: float = knob(5.0, "ORCA: looks so far ahead for agents, s (CRI)", least=1e-3)
-    obstacle_time_horizon: float = knob(5.0, "ORCA: looks so far ahead for polygons, s (CRI)", least=1e-3)
+    safety_space: float = knob(0.0, "added to every radius when ORCA drives the robot, m", least=0, most=10)
+    clearance: float = knob(0.01, "added to every radius inside ORCA, m (CRI)", least=0, most=10)
+    neighbor_distance: float = knob(10.0, "ORCA: agents farther away are ignored, m (CRI)", least=0, most=1e6)
+    max_neighbors: int = knob(10, "ORCA: only so many nearest agents count (CRI)", least=0, most=1000)
+    time_horizon: float = knob(5.0, "ORCA: looks so far ahead for agents, s (CRI)", least=1e-3, most=1000)
+    obstacle_time_horizon: float = knob(5.0, "ORCA: looks so far ahead for polygons, s (CRI)", least=1e-3, most=1000)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.longest > STEPS:
+            raise ConfigError(
+                f"time-limit {self.time_limit:g} and time-step {self.time_step:g} make an episode of {self.longest} "
+                f"steps; it may have {STEPS}, so choose a longer time-step or a shorter time-limit"
+            )
 
     @property
     def longest(self) -> int:
@@ -111,16 +122,20 @@ class Reward(_Checked):
     """Numbers of the rewards: CRI's, and the paper's second formula."""
 
     reward: str = knob("crowd", "crowd (CRI), sfm, sfm-discount (paper), or your own: file.py:function")
-    success: float = knob(1.0, "reward for reaching the goal (CRI)")
-    collision: float = knob(-0.25, "reward for a collision (CRI)")
-    discomfort_distance: float = knob(0.2, "closer than this is too close, m (CRI)", least=0)
-    discomfort_slope: float = knob(0.125, "crowd: penalty per metre too close, in 0.25 s (CrowdNav: 0.5 a second)")
-    discomfort_amplitude: float = knob(-0.03, "sfm: reward at zero separation (the paper's A)")
-    discomfort_decay: float = knob(10.0, "sfm: how fast it fades with separation, 1/m (the paper's B)")
-    k: float = knob(0.001, "sfm: weight of moving at the preferred velocity (the paper's k)")
-    distance_weight: float = knob(0.0001, "sfm: penalty per metre from the goal")
-    discount_start: float = knob(10.0, "sfm-discount: arriving later than this costs, s")
-    discount_rate: float = knob(0.02, "sfm-discount: cost per second late")
+    success: float = knob(1.0, "reward for reaching the goal (CRI)", **PAY)
+    collision: float = knob(-0.25, "reward for a collision (CRI)", **PAY)
+    discomfort_distance: float = knob(0.2, "closer than this is too close, m (CRI)", least=0, most=1000)
+    discomfort_slope: float = knob(
+        0.125, "crowd: penalty per metre too close, in 0.25 s (CrowdNav: 0.5 a second)", **PAY
+    )
+    discomfort_amplitude: float = knob(-0.03, "sfm: reward at zero separation (the paper's A)", **PAY)
+    discomfort_decay: float = knob(
+        10.0, "sfm: how fast it fades with separation, 1/m (the paper's B)", least=0, most=1e6
+    )
+    k: float = knob(0.001, "sfm: weight of moving at the preferred velocity (the paper's k)", **PAY)
+    distance_weight: float = knob(0.0001, "sfm: penalty per metre from the goal", **PAY)
+    discount_start: float = knob(10.0, "sfm-discount: arriving later than this costs, s", least=0, most=3600)
+    discount_rate: float = knob(0.02, "sfm-discount: cost per second late", **PAY)
 
 
 @dataclass(frozen=True)
@@ -128,10 +143,14 @@ class Planner(_Checked):
     """Recovery at play, and the grid on which ways around squares are measured."""
 
     recover: bool = knob(False, "at play, lead a robot that is stuck around squares, look farther for traps (ours)")
-    stall_time: float = knob(2.0, "recover: after so long without progress the robot is stuck, s", least=0)
-    stall_distance: float = knob(0.25, "recover: progress is to shorten the way around squares by this, m", least=0)
-    resolution: float = knob(0.1, "way around squares: side of the grid's cells, m", least=0.02)
-    inflation: float = knob(0.1, "way around squares: nearer to a square than this it counts as longer, m", least=0)
+    stall_time: float = knob(2.0, "recover: after so long without progress the robot is stuck, s", least=0, most=3600)
+    stall_distance: float = knob(
+        0.25, "recover: progress is to shorten the way around squares by this, m", least=0, most=1000
+    )
+    resolution: float = knob(0.1, "way around squares: side of the grid's cells, m", least=0.02, most=10)
+    inflation: float = knob(
+        0.1, "way around squares: nearer to a square than this it counts as longer, m", least=0, most=10
+    )
 
 
 _OPTIMIZERS = ("sgd", "adam")
@@ -142,11 +161,11 @@ _SCHEDULES = ("constant", "linear", "one-cycle")
 class Imitation(_Checked):
     """Learning from ORCA's demonstrations; the paper's numbers."""
 
-    episodes: int = knob(3000, "demonstrations by ORCA", least=1)
-    epochs: int = knob(50, "passes over the demonstrations", least=1)
-    batch_size: int = knob(100, "states in a batch", least=1)
+    episodes: int = knob(3000, "demonstrations by ORCA", least=1, most=EPISODES)
+    epochs: int = knob(50, "passes over the demonstrations", least=1, most=10_000)
+    batch_size: int = knob(100, "states in a batch", least=1, most=100_000)
     optimizer: str = knob("sgd", "sgd (momentum 0.9) or adam (Kingma and Ba, 2015)", choices=_OPTIMIZERS)
-    learning_rate: float = knob(0.01, "learning rate", least=0)
+    learning_rate: float = knob(0.01, "learning rate", least=0, most=1000)
     schedule: str = knob("constant", "course of the learning rate (one-cycle: Smith, 2017)", choices=_SCHEDULES)
     environment: str = knob("1", "environments of the demonstrations")
 
@@ -155,40 +174,42 @@ class Imitation(_Checked):
 class Reinforcement(_Checked):
     """Deep V-learning; the paper's numbers, CRI's where it is silent."""
 
-    episodes: int = knob(10_000, "training episodes", least=1)
-    parallel: int = knob(1, "episodes played side by side, for speed", least=1)
+    episodes: int = knob(10_000, "training episodes", least=1, most=10_000_000)
+    parallel: int = knob(1, "episodes played side by side, for speed", least=1, most=10_000)
     overlap: bool = knob(False, "learn from the last episodes while the next are played (as in Mnih et al., 2016)")
-    batches: int = knob(100, "batches of learning an episode (CRI)", least=0)
-    batch_size: int = knob(100, "states in a batch", least=1)
+    batches: int = knob(100, "batches of learning an episode (CRI)", least=0, most=10_000)
+    batch_size: int = knob(100, "states in a batch", least=1, most=100_000)
     optimizer: str = knob("sgd", "sgd (momentum 0.9) or adam (Kingma and Ba, 2015)", choices=_OPTIMIZERS)
-    learning_rate: float = knob(0.001, "learning rate", least=0)
+    learning_rate: float = knob(0.001, "learning rate", least=0, most=1000)
     schedule: str = knob("constant", "course of the learning rate (one-cycle: Smith, 2017)", choices=_SCHEDULES)
     epsilon_start: float = knob(0.5, "share of random actions at the start (CRI)", least=0, most=1)
     epsilon_end: float = knob(0.1, "share of random actions in the end (CRI)", least=0, most=1)
-    epsilon_episodes: int = knob(4000, "episodes from the first share to the last (CRI)", least=1)
+    epsilon_episodes: int = knob(4000, "episodes from the first share to the last (CRI)", least=1, most=10_000_000)
     targets: str = knob(
         "td",
         "learn td, the reward plus the target's next value, or returns, all that followed up to the next random action "
         "(Watkins, 1989)",
         choices=("td", "returns"),
     )
-    target_interval: int = knob(50, "episodes between updates of the target network (CRI)", least=1)
-    memory: int = knob(100_000, "states kept to learn from (CRI)", least=1)
+    target_interval: int = knob(50, "episodes between updates of the target network (CRI)", least=1, most=10_000_000)
+    memory: int = knob(100_000, "states kept to learn from (CRI)", least=1, most=10_000_000)
     keep_timeouts: bool = knob(False, "learn from time-outs too, as worth 0 at their end (ours; CRI drops them)")
-    average: int = knob(0, "test with weights averaged over so many batches (Polyak, 1992); 0: off", least=0)
+    average: int = knob(
+        0, "test with weights averaged over so many batches (Polyak, 1992); 0: off", least=0, most=10_000_000
+    )
     environment: str = knob("table1", "environments to train in, and their shares; rl tests there too")
     test_environment: str = knob("table1", "environments of validation and test (paper: table 1's mix in all its rows)")
-    validation_interval: int = knob(1000, "episodes between validations", least=1)
-    validation_episodes: int = knob(100, "episodes of a validation", least=1)
-    test_episodes: int = knob(500, "episodes of the final test", least=1)
+    validation_interval: int = knob(1000, "episodes between validations", least=1, most=10_000_000)
+    validation_episodes: int = knob(100, "episodes of a validation", least=1, most=EPISODES)
+    test_episodes: int = knob(500, "episodes of the final test", least=1, most=EPISODES)
     test_best: bool = knob(False, "test the weights of the best validation as well as the last")
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(_Checked):
     """Everything that decides a training's numbers."""
 
-    seed: int = knob(0, "seed of everything random", least=0)
+    seed: int = knob(0, "seed of everything random", least=0, most=SEED)
     preset: str = knob("quick", "schedule: minutes, or as published (hours)", choices=("quick", "paper"))
     forces: bool = knob(False, "social forces in the state: 17 columns instead of 13")
     precision: str = knob(
@@ -206,9 +227,6 @@ class Config:
     imitation: Imitation = field(default_factory=Imitation)
     reinforcement: Reinforcement = field(default_factory=Reinforcement)
 
-    def __post_init__(self) -> None:
-        _check(self)
-
     def to_json(self) -> str:
         """The whole config as indented JSON."""
         return json.dumps(asdict(self), indent=2)
@@ -221,7 +239,7 @@ class Config:
         """
         try:
             changes = json.loads(text)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, RecursionError):
             raise ConfigError("it is not JSON") from None
         if isinstance(changes, dict):
             for name, neutral in RETIRED.items():

@@ -4,6 +4,8 @@ Episodes that end make room for waiting ones, so a batch stays full; which episo
 Rewards and returns are computed from the record afterwards: one set of episodes serves every reward and state.
 """
 
+import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 
@@ -140,6 +142,8 @@ def play_episodes(
     whole = reset(scenes, simulation, getattr(policy, "planner", None))
     count, rows = whole.position.shape[:2]
     longest = simulation.longest
+    if (needed := 8 * count * longest * (5 * rows + 7)) > memory_size():  # bytes of all that is recorded
+        raise MemoryError(f"{count} episodes of up to {longest} steps need {needed / 1e9:.1f} GB")
     position = np.full((count, longest + 1, rows, 2), np.nan)
     velocity = np.full((count, longest + 1, rows, 2), np.nan)
     position[:, 0], velocity[:, 0] = whole.position, whole.velocity
@@ -191,6 +195,14 @@ def _choice(policy: Policy, world: World, moves: np.ndarray) -> np.ndarray:
             f"{name} returned a velocity of {speed[e]:.4g} m/s; it must return none above v_pref, {v_pref[e]:.4g} m/s"
         )
     return action
+
+
+def memory_size() -> float:
+    """The machine's memory in bytes; infinite where the system does not say."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return math.inf
 
 
 def rewards_of(transition: Transition, steps: np.ndarray, terms: Callable[[Transition], Terms]) -> np.ndarray:

@@ -11,9 +11,11 @@ from sfmrl.console import err, new_file, print_metrics, print_sheet, print_sweep
 from sfmrl.files import csv_text
 from sfmrl.options import (
     Environment,
+    Episodes,
     MapFile,
     Overwrite,
     PolicyName,
+    Seed,
     Threads,
     TrustReward,
     option,
@@ -30,8 +32,8 @@ def evaluate_command(
     policy: PolicyName = None,
     environment: Environment = None,
     map_file: MapFile = None,
-    episodes: Annotated[int, option("test episodes (default 500)", min=1)] = 500,
-    seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
+    episodes: Episodes = 500,
+    seed: Seed = 0,
     sweep: Annotated[
         list[str] | None,
         option(
@@ -98,8 +100,8 @@ def compare_command(
     policies: Annotated[list[str], typer.Argument(help="two or more, as for eval; all are compared with the first")],
     environment: Environment = None,
     map_file: MapFile = None,
-    episodes: Annotated[int, option("test episodes (default 500)", min=1)] = 500,
-    seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
+    episodes: Episodes = 500,
+    seed: Seed = 0,
     as_json: Annotated[bool, option("print JSON", "--json")] = False,
     csv: Annotated[Path | None, option("write a line an episode of each policy to this file")] = None,
     overwrite: Overwrite = False,

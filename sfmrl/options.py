@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from sfmrl import completion
-from sfmrl.config import Config
+from sfmrl.config import EPISODES, SEED, Config, checked
 from sfmrl.variants import MIXES, PRESETS, VARIANTS, make_config
 
 # The sections of the config by the heading under which `--help` shows their knobs.
@@ -25,6 +25,7 @@ TITLES = {
 }
 
 
+NUMBERS = 2**31 - 1  # of episodes
 DEFAULTS = {preset: make_config(preset) for preset in PRESETS}
 
 
@@ -33,7 +34,21 @@ def option(help: str, *flags: str, **extra: Any) -> Any:
     return typer.Option(*flags, help=help, show_default=False, **extra)
 
 
-Threads = Annotated[int | None, option("threads to use (default one a core)", min=1)]
+def number_option(help: str, low: float, high: float) -> Any:
+    """A Typer option that takes a number from `low` to `high`."""
+
+    def within(value: float | None) -> float | None:
+        if value is not None and not low <= value <= high:  # NaN is refused, too
+            raise typer.BadParameter(f"{value} is not from {low} to {high}")
+        return value
+
+    return option(help, callback=within)
+
+
+Threads = Annotated[int | None, number_option("threads to use (default one a core)", 1, 1024)]
+Episodes = Annotated[int, number_option("test episodes (default 500)", 1, EPISODES)]
+Episode = Annotated[int, number_option("number of the test episode (default 0)", 0, NUMBERS)]
+Seed = Annotated[int, number_option("seed of the test episodes (default 0)", 0, SEED)]
 RunFolder = Annotated[Path | None, option("run folder to make (default a new one under runs/)")]
 Resume = Annotated[
     Path | None,
@@ -84,22 +99,22 @@ def settings_options(*sections: str) -> Callable[[Callable[..., None]], Callable
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        places = {}  # option -> (section, knob)
+        knobs = {}  # option -> (section, the config's field)
         parameters = []
         for section in sections:
             for item in fields(_section(Config(), section)):
                 if not is_dataclass(getattr(_section(Config(), section), item.name)):
-                    places[item.name] = (section, item.name)
+                    knobs[item.name] = (section, item)
                     parameters.append(_parameter(section, item.name))
         own = [p for p in inspect.signature(command).parameters.values() if p.name != "settings"]
 
         @wraps(command)
         def wrapper(**given: Any) -> None:
             settings: dict[str, Any] = {}
-            for name, (section, knob) in places.items():
+            for name, (section, item) in knobs.items():
                 value = given.pop(name)
                 if value is not None:
-                    (settings.setdefault(section, {}) if section else settings)[knob] = value
+                    (settings.setdefault(section, {}) if section else settings)[name] = checked(item, value)
             command(**given, settings=settings)
 
         wrapper.__signature__ = inspect.Signature([*own, *parameters])

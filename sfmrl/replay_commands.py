@@ -11,11 +11,14 @@ from sfmrl.config import Config, ConfigError
 from sfmrl.console import new_file, out, say, say_result
 from sfmrl.options import (
     Environment,
+    Episode,
     MapFile,
     Overwrite,
     PolicyName,
+    Seed,
     Threads,
     TrustReward,
+    number_option,
     option,
     settings_options,
 )
@@ -33,11 +36,13 @@ def ascii_render(
     versus: Annotated[str | None, option("a second policy in the same episode, beside it and by its reward")] = None,
     environment: Environment = None,
     map_file: MapFile = None,
-    episode: Annotated[int, option("number of the test episode (default 0)", min=0)] = 0,
-    seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
-    speed: Annotated[float, option("times real time (default 2)", min=0.01, max=64)] = 2.0,
-    frames: Annotated[int | None, option("so many stills instead of playing (default a pipe 6, SVG 1)", min=1)] = None,
-    at: Annotated[float | None, option("the still at this time, in s, instead of playing", min=0)] = None,
+    episode: Episode = 0,
+    seed: Seed = 0,
+    speed: Annotated[float, number_option("times real time (default 2)", 0.01, 64)] = 2.0,
+    frames: Annotated[
+        int | None, number_option("so many stills instead of playing (default a pipe 6, SVG 1)", 1, 10_000)
+    ] = None,
+    at: Annotated[float | None, number_option("the still at this time, in s, instead of playing", 0, 3600)] = None,
     size: Annotated[str | None, option("COLUMNSxLINES (default the terminal's; in files 80x24)")] = None,
     ascii_only: Annotated[bool, option("7-bit characters only", "--ascii")] = False,
     scenes: Annotated[bool, option("draw a sample of each environment, and play nothing", "--scenes")] = False,

@@ -112,7 +112,7 @@ def parse_mix(text: str) -> dict[str, float]:
     shares: dict[str, float] = {}
     for part in MIXES.get(text, text).split(","):
         name, colon, share = part.strip().partition(":")
-        if name not in ENVIRONMENTS and name not in MAP_NAMES and not re.fullmatch(r"circle\d+", name):
+        if name not in ENVIRONMENTS and name not in MAP_NAMES and not re.fullmatch(r"circle\d{1,3}", name):
             known = [*ENVIRONMENTS, *MIXES]
             near = suggest(name, [*known, *MAP_NAMES])
             raise ConfigError(f"there is no environment {name!r}; choose {', '.join(known)}{near}")

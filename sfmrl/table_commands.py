@@ -9,7 +9,7 @@ import typer
 from sfmrl.config import ConfigError
 from sfmrl.console import err, new_file, out, print_sheet, say, say_result
 from sfmrl.files import csv_text
-from sfmrl.options import Overwrite, option
+from sfmrl.options import Overwrite, number_option, option
 from sfmrl.tables import TABLES, make_jobs, parse_rows, parse_seeds
 from sfmrl.variants import PRESETS
 
@@ -30,7 +30,7 @@ def table(
     rows: Rows = None,
     preset: Preset = "quick",
     folder: Folder = TABLES_FOLDER,
-    jobs: Annotated[int | None, option("trainings side by side (default one a core)", min=1)] = None,
+    jobs: Annotated[int | None, number_option("trainings side by side (default one a core)", 1, 1024)] = None,
     on: Annotated[str, option("where to train: here, or ray (default here)")] = "here",
     print_jobs: Annotated[bool, option("print the trainings as commands, and run none", "--print-jobs")] = False,
     no_train: Annotated[bool, option("make the table from what is finished, train nothing", "--no-train")] = False,

@@ -1,5 +1,6 @@
 """The paper's two tables: their rows, with the paper's own figures, and the trainings that make them."""
 
+import re
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,6 +57,7 @@ TABLES = {
         },
     ),
 }
+SEEDS = 1000  # of a table at most
 VALIDATION_INTERVAL = {"paper": 1000, "quick": 250}  # episodes; the paper's figure has a point every 1000
 
 
@@ -117,10 +119,13 @@ def parse_rows(number: int, text: str | None) -> list[str]:
 
 def parse_seeds(text: str) -> list[int]:
     """Seeds from "0-9" or "0,3,5-7", each once; raises ConfigError on what is neither."""
-    seeds: list[int] = []
+    seeds: dict[int, None] = {}
     for part in text.split(","):
-        first, dash, last = part.strip().partition("-")
-        if not first.isdigit() or (dash and not last.isdigit()) or (dash and int(last) < int(first)):
+        match = re.fullmatch(r"([0-9]{1,18})(?:-([0-9]{1,18}))?", part.strip())
+        first, last = (int(end or match[1]) for end in match.groups()) if match else (0, -1)
+        if last < first:
             raise ConfigError(f"--seeds {text}: {part.strip()!r} is neither a seed nor a range; write 0-9 or 0,3,5-7")
-        seeds += range(int(first), int(last or first) + 1)
-    return list(dict.fromkeys(seeds))
+        if len(seeds) + last - first >= SEEDS:
+            raise ConfigError(f"--seeds {text} are too many; name at most {SEEDS}")
+        seeds |= dict.fromkeys(range(first, last + 1))
+    return list(seeds)

@@ -8,15 +8,19 @@ from typing import Annotated, Any
 import typer
 
 from sfmrl import completion
+from sfmrl.config import EPISODES, STEPS
 from sfmrl.console import err, new_file, out, say, say_finding, say_result
 from sfmrl.files import csv_text
 from sfmrl.options import (
     Environment,
+    Episode,
     MapFile,
     Overwrite,
     PolicyName,
+    Seed,
     Threads,
     TrustReward,
+    number_option,
     option,
     settings_options,
 )
@@ -31,10 +35,10 @@ def explain(
     policy: PolicyName = None,
     environment: Environment = None,
     map_file: MapFile = None,
-    episode: Annotated[int, option("number of the test episode (default 0)", min=0)] = 0,
-    seed: Annotated[int, option("seed of the test episodes (default 0)", min=0)] = 0,
+    episode: Episode = 0,
+    seed: Seed = 0,
     every: Annotated[
-        int | None, option("show every so manyth step, and those with events (default a dozen)", min=1)
+        int | None, number_option("show every N-th step, and those with events (default a dozen)", 1, STEPS)
     ] = None,
     steps: Annotated[str | None, option("show these steps, e.g. 10:20 (default the whole episode)")] = None,
     as_json: Annotated[bool, option("print JSON: all steps, all numbers", "--json")] = False,
@@ -78,11 +82,13 @@ def explain(
 def verify(
     run: Annotated[Path, typer.Argument(help="the run folder", show_default=False, autocompletion=completion.runs)],
     episodes: Annotated[
-        int, option("test episodes, or demonstrations, to play again at most (default 100)", min=1)
+        int, number_option("test episodes, or demonstrations, to play again at most (default 100)", 1, EPISODES)
     ] = 100,
     tolerance: Annotated[
         float | None,
-        option("share of them that may end otherwise (default 0, or 0.05 if versions or processor differ)"),
+        number_option(
+            "share of them that may end otherwise (default 0, or 0.05 if versions or processor differ)", 0, 1
+        ),
     ] = None,
     trust_reward: TrustReward = False,
     threads: Threads = None,

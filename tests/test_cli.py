@@ -1,20 +1,23 @@
 """The command as people and programs use it: real processes, their output, exit codes and error lines."""
 
 import csv
+import inspect
 import json
 import re
 import shlex
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from typing import get_args
 
 import pytest
 import torch
 import typer
 from conftest import ROOT, environment
 
-from sfmrl import __version__, completion
+from sfmrl import __version__, cli, completion
 from sfmrl.cli import app, main
 from sfmrl.models import model_names
 from sfmrl.policies import POLICIES
@@ -128,6 +131,13 @@ WRONG_USE = [
     (("eval", "orca", "--episodes", "0"), ("--episodes",)),
     (("eval", "orca", "--environment", "7"), ("there is no environment '7'", "table1")),
     (("eval", "orca", "--environment", ""), ("there is no environment ''",)),
+    (("eval", "orca", "--environment", "circle" + "9" * 30), ("there is no environment 'circle999",)),
+    (("eval", "orca", "--environment", "circle1000"), ("there is no environment 'circle1000'",)),
+    (("eval", "orca", "--environment", "circle999", "--episodes", "1"), ("no room for person",)),
+    (("eval", "orca", "--time-step", "0.001", "--time-limit", "3600"), ("steps; it may have 100000",)),
+    (("table", "1", "--seeds", "0-999999999999"), ("--seeds", "at most 1000")),
+    (("table", "1", "--seeds", "9" * 5000), ("--seeds",)),
+    (("table", "1", "--seeds", "0-\u00b2"), ("--seeds",)),
     (("eval", "orca", "--reward", "smf"), ("there is no reward 'smf'", "did you mean sfm?")),
     (("eval", "orca", "--crowd", "orka"), ("crowd is 'orka'; choose orca, sfm", "did you mean orca?")),
     (("eval", "orca", "--time-limit", "inf"), ("time-limit",)),
@@ -162,7 +172,7 @@ WRONG_USE = [
     (("explain", "orca", "--csv", "."), ("is a folder", "name")),
     (("verify",), ("run", "--help")),
     (("verify", "nowhere"), ("nowhere does not exist",)),
-    (("verify", ".", "--tolerance", "2"), ("--tolerance is 2", "from 0 to 1")),
+    (("verify", ".", "--tolerance", "2"), ("--tolerance", "2.0 is not from 0 to 1")),
     (("figure", "1", "--preset", "papre"), ("choose paper, quick",)),
     (("doctor", "--tests"), ("--test",)),
 ]
@@ -172,6 +182,61 @@ WRONG_USE = [
 def test_wrong_use_is_one_line_that_says_how_to_go_on(in_process: Call, tmp_path: Path, words, said):
     assert_one_line_error(in_process(*words), *said)
     assert list(tmp_path.iterdir()) == []  # nothing is left behind
+
+
+class Begun(Exception):
+    """A command has taken its options and begins to work."""
+
+
+def numbers(command: Callable) -> list[str]:
+    """The options of a command that take a number, by its own declaration."""
+    found = []
+    for name, parameter in inspect.signature(command).parameters.items():
+        kinds = set(get_args(get_args(parameter.annotation)[0]) or get_args(parameter.annotation)[:1])
+        flags = get_args(parameter.annotation)[1].param_decls or ("--" + name.replace("_", "-"),)
+        if kinds & {int, float} and name != "number":
+            found.append(flags[0])
+    return found
+
+
+FUNCTIONS = {
+    function.name or function.callback.__name__: function.callback
+    for group in app.registered_groups
+    for function in group.typer_instance.registered_commands
+}
+NUMBERS = {name: numbers(function) for name, function in FUNCTIONS.items()}
+NEEDED = {"compare": ["orca", "linear"], "verify": ["nowhere"], "table": ["1"], "figure": ["1"]}
+NO_NUMBER = ("nan", "inf", "-inf", "1e308", str(2**63), "9" * 4000, "9" * 5000, "", "x")
+
+
+@pytest.mark.parametrize("name", [name for name, options in NUMBERS.items() if options])
+def test_no_option_takes_what_is_no_number_or_far_too_large(in_process: Call, monkeypatch, name):
+    def begin(*_: object, **__: object) -> None:
+        raise Begun
+
+    monkeypatch.setattr(cli, "app", typer.main.get_command(app))  # built once
+    for module, function in (
+        ("training_commands", "new_config"),
+        ("evaluation_commands", "choose"),
+        ("replay_commands", "choose"),
+        ("teaching_commands", "choose"),
+        ("table_commands", "_train"),
+    ):
+        monkeypatch.setattr(f"sfmrl.{module}.{function}", begin)
+    for option in NUMBERS[name]:
+        for value in NO_NUMBER:
+            done = in_process(name, *NEEDED.get(name, []), option, value)
+            assert_one_line_error(done, option.removeprefix("--"))
+            assert len(done.stderr) < 2000
+        with suppress(Begun):  # some may be below 0
+            assert_one_line_error(in_process(name, *NEEDED.get(name, []), option, "-1"), option.removeprefix("--"))
+
+
+def test_every_command_s_numbers_are_found():
+    assert {"--episodes", "--seed", "--threads", "--time-limit", "--max-neighbors", "--k"} <= set(NUMBERS["eval"])
+    assert {"--speed", "--frames", "--at", "--episode"} <= set(NUMBERS["ascii-render"])
+    assert {"--memory", "--learning-rate", "--test-episodes", "--discount"} <= set(NUMBERS["rl"])
+    assert NUMBERS["verify"] == ["--episodes", "--tolerance", "--threads"]
 
 
 @pytest.mark.parametrize(
@@ -435,9 +500,11 @@ def test_what_the_shell_is_offered_is_what_there_is():
     assert all(parse_mix(name) for name in completion.ENVIRONMENTS)
 
 
-def test_too_little_memory_is_one_line_with_what_helps(in_process: Call):
-    done = in_process("eval", "orca", "--episodes", "2", "--time-limit", "1e12")
+def test_too_little_memory_is_one_line_with_what_helps(in_process: Call, monkeypatch):
+    monkeypatch.setattr("sfmrl.episodes.memory_size", lambda: 1e6)
+    done = in_process("eval", "orca", "--episodes", "20", "--time-limit", "1000")
     assert (done.returncode, done.stdout) == (1, "")
     assert len(done.stderr.splitlines()) == 1
     assert "out of memory" in done.stderr
     assert "--time-limit" in done.stderr
+    assert "20 episodes of up to 3997 steps" in done.stderr
