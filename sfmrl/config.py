@@ -232,7 +232,7 @@ class Config(_Checked):
         return json.dumps(asdict(self), indent=2)
 
     @staticmethod
-    def from_json(text: str) -> "Config":
+    def from_json(text: str | bytes) -> "Config":
         """The config that `to_json` wrote; raises ConfigError on unknown keys and bad values.
 
         Its reward's name is `Untrusted`: one that names Python code is not run, unless `own_code.trusted` says so.

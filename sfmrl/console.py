@@ -152,8 +152,9 @@ def new_file(path: Path | None, flag: str, overwrite: bool) -> None:
     """Raises ConfigError where a file that an option names cannot be written, or is there already."""
     if path is None:
         return
-    if path.is_dir():
-        raise ConfigError(f"--{flag} {path} is a folder; name a file")
+    if path.exists() and not path.is_file():
+        what = "a folder" if path.is_dir() else "not a regular file"
+        raise ConfigError(f"--{flag} {path} is {what}; name a file")
     if path.exists() and not overwrite:
         raise ConfigError(f"{path} is there already; name another --{flag}, or replace it with --overwrite")
     if not path.parent.is_dir():

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from sfmrl.config import ConfigError, Planner
+from sfmrl.files import read_regular
 from sfmrl.layouts import DRAWN
 from sfmrl.maps import CELL, GOALS, PEOPLE, Drawing, parse
 from sfmrl.planner import UNREACHABLE, plan
@@ -25,12 +26,9 @@ def load_map(path: str | Path) -> str:
     """
     path = Path(path)
     try:
-        with open(path, "rb") as file:
-            text = file.read(LARGEST + 1)
+        text = read_regular(path, LARGEST + 1)
     except FileNotFoundError:
         raise ConfigError(f"there is no map {path}; sfmrl ascii-render --draw prints one to begin with") from None
-    except IsADirectoryError:
-        raise ConfigError(f"{path} is a folder; name a text file with a map") from None
     if len(text) > LARGEST:
         raise ConfigError(f"{path} is larger than any map, {LARGEST} bytes")
     try:

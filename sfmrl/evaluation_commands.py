@@ -8,7 +8,7 @@ import typer
 
 from sfmrl.config import ConfigError, counted, suggest
 from sfmrl.console import err, new_file, print_metrics, print_sheet, print_sweep, replay_command, say, say_result
-from sfmrl.files import csv_text
+from sfmrl.files import DamagedFile, csv_text
 from sfmrl.options import (
     Environment,
     Episodes,
@@ -161,7 +161,12 @@ def models(
     cards = {each: model_card(each) for each in names}
     if as_json:
         say_result(json.dumps(cards[name] if name else cards, indent=2))
-    elif name:
-        say_result("\n".join(card_lines(cards[name])))
+        return
+    try:
+        shown = card_lines(cards[name]) if name else model_sheet(cards)
+    except (LookupError, TypeError, ValueError, AttributeError):
+        raise DamagedFile("a model's card is not what sfmrl came with; install sfmrl again") from None
+    if name:
+        say_result("\n".join(shown))
     else:
-        print_sheet(model_sheet(cards))
+        print_sheet(shown)

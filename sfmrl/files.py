@@ -6,6 +6,7 @@ SHA256SUMS has the format of the command `sha256sum`, which can check a folder t
 import csv
 import hashlib
 import io
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -60,7 +61,7 @@ def read_checked(path: Path) -> bytes:
         raise DamagedFile(
             f"{path} has no SHA-256 in {path.with_name(SUMS)}, so it cannot be trusted; put back the whole folder"
         )
-    data = path.read_bytes()
+    data = read_regular(path)
     if hashlib.sha256(data).hexdigest() != expected:
         raise DamagedFile(f"{path} is damaged: its SHA-256 is not the one in {path.with_name(SUMS)}; put back a copy")
     return data
@@ -70,7 +71,7 @@ def read_sums(folder: Path) -> dict[str, str]:
     """Digests by file name from a folder's SHA256SUMS; empty where there is none. Raises DamagedFile."""
     path = Path(folder) / SUMS
     try:
-        lines = path.read_text().splitlines()
+        lines = read_regular(path).decode().splitlines()
     except FileNotFoundError:
         return {}
     except UnicodeDecodeError:
@@ -92,6 +93,26 @@ def _sync_folder(folder: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+def read_regular(path: Path, most: int = -1) -> bytes:
+    """A file's bytes, or its first `most`; raises DamagedFile where it is a folder, a pipe or a device."""
+    path = Path(path)
+    if path.exists() and not path.is_file():  # a pipe would be waited for, and a device may have no end
+        raise DamagedFile(f"{path} is not a regular file, but a folder, a pipe or a device; name a file")
+    with open(path, "rb") as file:
+        return file.read(most)
+
+
+def json_object(text: str | bytes) -> dict[str, Any]:
+    """The object that a JSON text holds; raises ValueError where it holds none."""
+    try:
+        found = json.loads(text)
+    except (TypeError, ValueError, RecursionError):
+        raise ValueError("it is not JSON") from None
+    if not isinstance(found, dict):
+        raise ValueError("it is not a JSON object")
+    return found
 
 
 def csv_text(rows: list[dict[str, Any]], header: bool = True) -> str:

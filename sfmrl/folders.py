@@ -1,7 +1,9 @@
 """Which runs are there: folders by what lies in them, without opening one, and without NumPy or torch."""
 
-import json
 from pathlib import Path
+from typing import Any
+
+from sfmrl.files import DamagedFile, json_object, read_regular
 
 RUNS = Path("runs")
 KINDS = ("il", "rl")
@@ -13,17 +15,22 @@ def run_folders(kind: str | None = None) -> list[Path]:
     found = []
     for path in RUNS.glob("*/run.json"):
         if kind_of(path.parent) in (KINDS if kind is None else (kind,)):
-            found.append((str(json.loads(path.read_text()).get("created")), path.parent))
+            found.append((str(facts_of(path.parent).get("created")), path.parent))
     return [folder for _, folder in sorted(found, reverse=True)]
 
 
 def kind_of(folder: Path) -> str | None:
     """Which kind of run a folder holds; None where it holds none that can be told."""
+    kind = facts_of(folder).get("kind")
+    return kind if kind in KINDS else None
+
+
+def facts_of(folder: Path) -> dict[str, Any]:
+    """What the run.json in a folder says; nothing where there is none that can be read."""
     try:
-        facts = json.loads((folder / "run.json").read_text())
-    except (OSError, ValueError):
-        return None
-    return facts.get("kind") if isinstance(facts, dict) and facts.get("kind") in KINDS else None
+        return json_object(read_regular(folder / "run.json"))
+    except (OSError, ValueError, DamagedFile):
+        return {}
 
 
 def finished(folder: Path) -> bool:

@@ -1,10 +1,10 @@
 """What to type next, for whoever types `sfmrl` alone: it depends on the runs that are there. Quick to import."""
 
-import json
 import shlex
 from pathlib import Path
 
 from sfmrl import __version__
+from sfmrl.files import DamagedFile, json_object, read_regular
 from sfmrl.folders import RUNS, finished, kind_of, run_folders
 
 Line = tuple[str, str]  # what to type, and what it does
@@ -54,9 +54,9 @@ def _next_steps(folders: list[Path]) -> tuple[str, list[Line]]:
 def _flags(folder: Path) -> str:
     """The options under which a training finds this imitation run, where they are not the defaults."""
     try:
-        config = json.loads((folder / "config.json").read_text())
+        config = json_object(read_regular(folder / "config.json"))
         given = {name: config[name] for name in ("preset", "seed")}
-    except (OSError, ValueError, LookupError, TypeError):
+    except (OSError, ValueError, LookupError, DamagedFile):
         return ""
     return "".join(
         f" --{name} {given[name]}" for name, usual in (("preset", "quick"), ("seed", 0)) if given[name] != usual

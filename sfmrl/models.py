@@ -5,11 +5,10 @@ and the SHA-256 of its weights.
 """
 
 import hashlib
-import json
 from pathlib import Path
 from typing import Any
 
-from sfmrl.files import DamagedFile
+from sfmrl.files import DamagedFile, json_object, read_regular
 
 FOLDER = Path(__file__).parent / "models"
 
@@ -20,13 +19,17 @@ def model_names() -> list[str]:
 
 
 def model_card(name: str) -> dict[str, Any]:
-    """A network's card."""
-    return json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+    """A network's card; raises DamagedFile where it is none."""
+    path = FOLDER / f"{name}.json"
+    try:
+        return json_object(read_regular(path))
+    except ValueError:
+        raise DamagedFile(f"{path} is not what sfmrl came with; install sfmrl again") from None
 
 
 def model_weights(name: str) -> Path:
     """A network's weights file; raises DamagedFile where it is not the one that its card describes."""
     path = FOLDER / f"{name}.pt"
-    if not path.exists() or hashlib.sha256(path.read_bytes()).hexdigest() != model_card(name)["sha256"]:
+    if not path.exists() or hashlib.sha256(path.read_bytes()).hexdigest() != model_card(name).get("sha256"):
         raise DamagedFile(f"{path} is not what sfmrl came with; install sfmrl again")
     return path

@@ -1,6 +1,5 @@
 """What a run's numbers come from, played again: its network's test episodes, or ORCA's demonstrations."""
 
-import json
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +8,7 @@ from sfmrl import run_tables
 from sfmrl.config import Reward
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.evaluation import episode_rows, evaluation_record
+from sfmrl.files import json_object, read_regular
 from sfmrl.folders import WEIGHTS
 from sfmrl.imitation import DEMONSTRATIONS, load_demonstrations
 from sfmrl.lookahead import Policy, SarlPolicy
@@ -101,4 +101,4 @@ class Replay:
 
 
 def _result(run: Run) -> dict:
-    return json.loads((run.folder / "result.json").read_text())
+    return json_object(read_regular(run.folder / "result.json"))

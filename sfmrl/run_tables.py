@@ -4,7 +4,6 @@ Independent of what wrote them: rates, means and intervals are computed anew fro
 """
 
 import csv
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 
 from sfmrl.config import Config
 from sfmrl.evaluation import RATES
+from sfmrl.files import json_object, read_regular
 from sfmrl.intervals import wilson
 from sfmrl.scenarios import sample_scenes
 
@@ -72,7 +72,7 @@ def tests(folder: Path, config: Config, name: str) -> str:
 
 def result(folder: Path, config: Config) -> str:
     """result.json: its numbers follow from test.csv, or, in older runs without it, fit its own list of failures."""
-    found = json.loads((folder / "result.json").read_text())
+    found = json_object(read_regular(folder / "result.json"))
     settings, told = config.reinforcement, []
     for part, name in ((found, "test.csv"), (found.get("best_validation"), "test-best.csv")):
         if part is not None and (folder / name).exists():

@@ -30,8 +30,8 @@ import torch
 
 from sfmrl import __version__
 from sfmrl.config import Config, ConfigError
-from sfmrl.files import DamagedFile, csv_text, read_checked, remove_checked, write_atomically
-from sfmrl.folders import RUNS, WEIGHTS, kind_of, run_folders
+from sfmrl.files import DamagedFile, csv_text, json_object, read_checked, remove_checked, write_atomically
+from sfmrl.folders import KINDS, RUNS, WEIGHTS, kind_of, run_folders
 from sfmrl.network import ValueNetwork, resolved
 from sfmrl.own_code import reward_digest
 from sfmrl.rewards import reward_terms
@@ -188,11 +188,26 @@ def open_run(folder: Path, kind: str | None = None) -> Run:
         what = "is not a run folder: it has no run.json and config.json" if folder.exists() else "does not exist"
         known = ", ".join(map(str, run_folders())) or "none yet, sfmrl il makes one"
         raise ConfigError(f"{folder} {what}; known runs: {known}")
-    facts = json.loads(read_checked(folder / "run.json"))
-    config = Config.from_json(read_checked(folder / "config.json").decode())
+    facts = _facts(folder / "run.json")
+    try:
+        config = Config.from_json(read_checked(folder / "config.json"))
+    except ConfigError as error:
+        raise ConfigError(f"{folder / 'config.json'} cannot be used: {error}") from None
     if kind and facts["kind"] != kind:
         raise ConfigError(f"{folder} is a run of sfmrl {facts['kind']}, not of sfmrl {kind}; name one of those")
     return Run(folder, facts["kind"], config, facts)
+
+
+def _facts(path: Path) -> dict[str, Any]:
+    """What a run.json says; raises DamagedFile where it is not what `create_run` writes."""
+    try:
+        facts = json_object(read_checked(path))
+    except ValueError as error:
+        raise DamagedFile(f"{path} is damaged: {error}; put back a copy") from None
+    kinds = {"kind": str, "variant": str, "created": str, "command": str, "versions": dict, "imitation": str | None}
+    if facts.get("kind") not in KINDS or not all(isinstance(facts.get(n), kind) for n, kind in kinds.items()):
+        raise DamagedFile(f"{path} is damaged: it does not say {', '.join(kinds)} of a run; put back a copy")
+    return facts
 
 
 def newest_run() -> Path:
