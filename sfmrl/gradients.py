@@ -8,7 +8,7 @@ thread and on several, which would otherwise split the rows among themselves.
 import torch
 from torch import Tensor
 
-from sfmrl.network import ATTENTION, MLP1, MLP2, PRIOR, ValueNetwork
+from sfmrl.network import PRIOR, ValueNetwork
 
 Gradients = dict[str, Tensor]
 RELU_BACKWARD = torch.ops.aten.threshold_backward.grad_input  # has no name in torch itself
@@ -26,9 +26,11 @@ def loss_and_gradients(network: ValueNetwork, states: Tensor, values: Tensor) ->
     trace = network.trace(states)
     batch, elements = trace.share.shape
     weights, low, found = network.tensors, network.low, network.gradients
+    (per_first, per_hidden), (per_feature, _), (per_score, *_) = network.sizes[:3]
 
     def through(name: str, d_output: Tensor, inputs: Tensor, out: Tensor | None = None) -> Tensor:
-        """Note a layer's gradients, and return the one by its inputs, written to `out` if that is given."""
+        """Note a layer's gradients, and return the one by its inputs, written to `out` if that has its size."""
+        out = None if out is None or out.shape[1] != inputs.shape[1] else out
         _by_weight(d_output, inputs, found[name + ".weight"])
         _by_bias(d_output, found[name + ".bias"])
         weight = (weights if d_output.dtype == torch.float32 else trace.low_weights)[name + ".weight"]
@@ -48,27 +50,26 @@ def loss_and_gradients(network: ValueNetwork, states: Tensor, values: Tensor) ->
         _by_bias(d_summary * trace.here.sum(1).clamp(max=1.0), found["mlp2.2.bias"])
 
     # From here on, what is not needed any more makes room for what is new: it is still in the processor's cache.
-    share, feature = trace.share, trace.feature.view(batch, elements, MLP2[0])
-    room = trace.first.new_empty(batch * elements, MLP1[0])
+    share, feature = trace.share, trace.feature.view(batch, elements, per_feature)
+    room = trace.first.new_empty(batch * elements, max(per_first, per_feature))
     d_feature = room.view(-1)[: feature.numel()].view_as(feature)
     d_share = torch.mul(feature, d_pooled, out=d_feature).sum(2).float()
     d_score = share * (d_share - (share * d_share).sum(1, keepdim=True))
     torch.mul(share.to(low)[..., None], d_pooled, out=d_feature)
-    d_feature = _relu(d_feature.view(-1, MLP2[0]), trace.feature)
+    d_feature = _relu(d_feature.view(-1, per_feature), trace.feature)
     d_score_2 = through("attention.4", d_score.to(low).view(-1, 1), trace.score_2, out=trace.feature)
     d_score_2 = _relu(d_score_2, trace.score_2)
     found["attention.4.bias"].zero_()  # the softmax sees no shift
     d_score_1 = _relu(through("attention.2", d_score_2, trace.score_1, out=trace.score_2), trace.score_1)
 
     # Attention's first layer: a half by element, a half by state.
-    width = MLP1[-1]
-    d_both = d_score_1.view(batch, elements, ATTENTION[0]).sum(1).float()
-    _by_weight(d_score_1, trace.hidden, found["attention.0.weight"][:, :width])
-    _by_weight(d_both, trace.mean, found["attention.0.weight"][:, width:])
+    d_both = d_score_1.view(batch, elements, per_score).sum(1).float()
+    _by_weight(d_score_1, trace.hidden, found["attention.0.weight"][:, :per_hidden])
+    _by_weight(d_both, trace.mean, found["attention.0.weight"][:, per_hidden:])
     _by_bias(d_both, found["attention.0.bias"])
-    d_mean = d_both @ weights["attention.0.weight"][:, width:]
+    d_mean = d_both @ weights["attention.0.weight"][:, per_hidden:]
     d_hidden = through("mlp2.0", d_feature, trace.hidden, out=d_score_2)
-    d_hidden.addmm_(d_score_1, trace.low_weights["attention.0.weight"][:, :width])
+    d_hidden.addmm_(d_score_1, trace.low_weights["attention.0.weight"][:, :per_hidden])
     if trace.here is None:
         d_hidden.view(batch, elements, -1).add_((d_mean / elements).to(low)[:, None])
     else:

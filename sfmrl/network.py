@@ -18,7 +18,15 @@ from torch.nn.functional import linear
 from sfmrl.config import Config
 from sfmrl.states import OWN, column_names
 
-MLP1, MLP2, ATTENTION, MLP3 = (150, 100), (100, 50), (100, 100, 1), (150, 100, 100, 1)
+
+class Sizes(NamedTuple):
+    """How many units each layer has; the defaults are the paper's and CrowdNav's."""
+
+    mlp1: tuple[int, int] = (150, 100)
+    mlp2: tuple[int, int] = (100, 50)
+    attention: tuple[int, int, int] = (100, 100, 1)
+    mlp3: tuple[int, int, int, int] = (150, 100, 100, 1)
+
 
 # Of `value_prior`: the fall-off per metre, and the distance at which the goal counts as reached, m.
 PER_METRE, AT_GOAL, PRIOR = 0.9, 0.3, 0.8
@@ -30,7 +38,10 @@ FUSED = getattr(torch.ops.mkldnn, "_linear_pointwise", None) if torch.backends.m
 
 
 class Trace(NamedTuple):
-    """What every layer gives on the way from states (B, K, F) to values; N = B K rows, one an element."""
+    """What every layer gives on the way from states (B, K, F) to values; N = B K rows, one an element.
+
+    Shapes are those of the default `Sizes`.
+    """
 
     rows: Tensor  # (N, F)
     here: Tensor | None  # (B, K, 1), 1 where the element is there and 0 where it is absent; None: all are there
@@ -57,16 +68,24 @@ class ValueNetwork(nn.Module):
     element, but for the first, compute in bfloat16 ("auto": where the processor has it).
     """
 
-    def __init__(self, forces: bool = False, value_prior: bool = False, seed: int = 0, precision: str = "fp32") -> None:
+    def __init__(
+        self,
+        forces: bool = False,
+        value_prior: bool = False,
+        seed: int = 0,
+        precision: str = "fp32",
+        sizes: Sizes = Sizes(),
+    ) -> None:
         super().__init__()
+        self.sizes = sizes
         self.forces, self.value_prior, self.precision = forces, value_prior, resolved(precision)
         self.own = len(OWN) + 2 * forces  # how many of the columns are the robot's own
         generator = torch.Generator().manual_seed(seed)
         width = len(column_names(forces))
-        self.mlp1 = _mlp(width, MLP1, generator, last_relu=True)
-        self.mlp2 = _mlp(MLP1[-1], MLP2, generator)
-        self.attention = _mlp(2 * MLP1[-1], ATTENTION, generator)
-        self.mlp3 = _mlp(self.own + MLP2[-1], MLP3, generator)
+        self.mlp1 = _mlp(width, sizes.mlp1, generator, last_relu=True)
+        self.mlp2 = _mlp(sizes.mlp1[-1], sizes.mlp2, generator)
+        self.attention = _mlp(2 * sizes.mlp1[-1], sizes.attention, generator)
+        self.mlp3 = _mlp(self.own + sizes.mlp2[-1], sizes.mlp3, generator)
         self._lay_out()
 
     def _lay_out(self) -> None:
@@ -93,7 +112,7 @@ class ValueNetwork(nn.Module):
         return self
 
     def __deepcopy__(self, memo) -> "ValueNetwork":
-        copy = ValueNetwork(self.forces, self.value_prior, precision=self.precision).to(self.device)
+        copy = ValueNetwork(self.forces, self.value_prior, precision=self.precision, sizes=self.sizes).to(self.device)
         copy.load_state_dict(self.state_dict())
         return copy
 
@@ -135,6 +154,7 @@ class ValueNetwork(nn.Module):
         if not elements or bool(absent.any()):
             here = (~absent).float()[..., None]
             states = torch.where(absent[..., None], 0.0, states)
+        per_hidden, per_feature, per_score = self.sizes.mlp1[-1], self.sizes.mlp2[0], self.sizes.attention[0]
         low, p, q, rows = self.low, self.tensors, self.low_tensors(), states.reshape(-1, width)
 
         if low == torch.float32:
@@ -147,12 +167,12 @@ class ValueNetwork(nn.Module):
         feature = linear_relu(hidden, q["mlp2.0.weight"], q["mlp2.0.bias"])
         count = elements if here is None else here.sum(1)  # (B, 1)
         present = hidden.new_ones(batch, 1, elements) if here is None else here.to(low).transpose(1, 2)
-        total = (present @ hidden.view(batch, elements, MLP1[-1]))[:, 0].float()
+        total = (present @ hidden.view(batch, elements, per_hidden))[:, 0].float()
         mean = total / (count if here is None else count.clamp(min=1.0))  # (B, 100)
 
-        for_element, for_mean = q["attention.0.weight"][:, : MLP1[-1]], p["attention.0.weight"][:, MLP1[-1] :]
+        for_element, for_mean = q["attention.0.weight"][:, :per_hidden], p["attention.0.weight"][:, per_hidden:]
         from_mean = linear(mean, for_mean, p["attention.0.bias"])  # (B, 100)
-        score_1 = hidden.new_empty(batch, elements, ATTENTION[0]).copy_(from_mean[:, None]).view(-1, ATTENTION[0])
+        score_1 = hidden.new_empty(batch, elements, per_score).copy_(from_mean[:, None]).view(-1, per_score)
         score_1 = relu_(score_1.addmm_(hidden, for_element.t()))
         score_2 = linear_relu(score_1, q["attention.2.weight"], q["attention.2.bias"])
         score = _one(score_2, q["attention.4.weight"], q["attention.4.bias"]).float()
@@ -161,7 +181,7 @@ class ValueNetwork(nn.Module):
             score = score.masked_fill(absent, -torch.inf)
         share = _softmax(score)
 
-        pooled = (share.to(low)[:, None] @ feature.view(batch, elements, MLP2[0]))[:, 0].float()
+        pooled = (share.to(low)[:, None] @ feature.view(batch, elements, per_feature))[:, 0].float()
         summary = linear(pooled, p["mlp2.2.weight"])  # (B, 50)
         summary = summary + (p["mlp2.2.bias"] if here is None else count.clamp(max=1.0) * p["mlp2.2.bias"])
         joint = torch.cat((own, summary), 1)

@@ -42,6 +42,7 @@ def sfm_policy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
     )[:, 0]
 
 
+CROWDNAV = "rl_model.pth"  # in the output folder of CrowdNav's training
 POLICIES: dict[str, Policy] = {"linear": linear_policy, "orca": orca_policy, "sfm": sfm_policy}
 
 
@@ -56,7 +57,7 @@ def find_policy(policy: str | Path | Policy, reward: Any = None) -> Policy:
 
 def load_policy(name_or_path: str | Path, threads: int | None = None, *, trust_reward: bool | str = False) -> Policy:
     """The policy of a name: linear, orca, sfm, a model that comes with sfmrl (sarl, sarl-sfm6, ...), a run folder, or a
-    weights file (sfmrl's or a CrowdNav SARL's).
+    weights file (sfmrl's or a CrowdNav SARL's), or the output folder that CrowdNav's is in.
 
     A CrowdNav file says nothing of its reward: it looks ahead with CrowdNav's. A network that was trained with a reward
     of somebody's own looks ahead with that Python code, which is run only if `trust_reward` is True or its name,
@@ -65,6 +66,18 @@ def load_policy(name_or_path: str | Path, threads: int | None = None, *, trust_r
     """
     if str(name_or_path) in POLICIES:
         return POLICIES[str(name_or_path)]
+    from sfmrl.weights import load_weights  # torch takes seconds to import: only for those who need it
+
+    network, config = load_weights(find_weights(name_or_path))
+    config = trusted(config, trust_reward)
+    return with_recovery(SarlPolicy(network, config, threads or available_cores()), config.planner)
+
+
+def find_weights(name_or_path: str | Path) -> Path:
+    """The weights file that a model's name, a run folder, CrowdNav's output folder or a path stands for.
+
+    Raises ConfigError where there is none, DamagedFile where it is not the one that came with sfmrl.
+    """
     models = model_names()
     path = model_weights(str(name_or_path)) if str(name_or_path) in models else Path(name_or_path)
     if not path.exists():
@@ -73,16 +86,12 @@ def load_policy(name_or_path: str | Path, threads: int | None = None, *, trust_r
             f"there is no policy {name_or_path}; name {', '.join(POLICIES)}, a model (see sfmrl models), a run folder "
             f"or a weights file{suggest(path, known)}"
         )
-    if path.is_dir():
-        if not (path / "run.json").exists() and not (path / WEIGHTS).exists():
-            raise ConfigError(f"{path} is not a run folder: it has neither run.json nor {WEIGHTS}; name one that has")
-        if not (path / WEIGHTS).exists():
-            raise ConfigError(
-                f"{path} holds no {WEIGHTS}: that training has not ended; go on with it by --resume {path}"
-            )
-        path = path / WEIGHTS
-    from sfmrl.weights import load_weights  # torch takes seconds to import: only for those who need it
-
-    network, config = load_weights(path)
-    config = trusted(config, trust_reward)
-    return with_recovery(SarlPolicy(network, config, threads or available_cores()), config.planner)
+    if not path.is_dir():
+        return path
+    if (path / CROWDNAV).exists() and not (path / "run.json").exists():
+        return path / CROWDNAV
+    if not (path / "run.json").exists() and not (path / WEIGHTS).exists():
+        raise ConfigError(f"{path} is not a run folder: it has neither run.json nor {WEIGHTS}; name one that has")
+    if not (path / WEIGHTS).exists():
+        raise ConfigError(f"{path} holds no {WEIGHTS}: that training has not ended; go on with it by --resume {path}")
+    return path / WEIGHTS

@@ -1,34 +1,100 @@
 """Networks in files: sfmrl's own, which hold the config too, and CrowdNav's SARL checkpoints."""
 
+import configparser
 import io
+import warnings
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from sfmrl.config import Config, ConfigError
-from sfmrl.files import read_checked, read_sums, write_atomically
-from sfmrl.network import ValueNetwork
+from sfmrl.files import DamagedFile, read_checked, read_regular, read_sums, write_atomically
+from sfmrl.network import Sizes, ValueNetwork
+from sfmrl.states import OWN, column_names
+
+WRAPPERS = ("state_dict", "model_state_dict", "model")  # keys under which a file may hold its parameters
+PREFIXES = ("module.", "model.")  # before all names: of DataParallel, of a network that is a part of something
+UNITS = 4096  # of a layer at most
+CADRL, LSTM_RL = "value_network.", "lstm."  # beginnings of the parameters' names of CrowdNav's other networks
+NO_WEIGHTS = {  # beginnings of files that are something else
+    b"version https://git-lfs": "is a git-lfs pointer, not the file itself; fetch that with git lfs pull",
+    b"<!doctype html": "is a web page (HTML), not the file itself; download that",
+    b"<html": "is a web page (HTML), not the file itself; download that",
+}
 
 
-def network_from(
-    state_dict: dict[str, Tensor], source: str, value_prior: bool = False, precision: str = "fp32"
-) -> ValueNetwork:
-    """The network whose parameters these are: sfmrl's own, or those of a CrowdNav SARL checkpoint.
+def network_from(state_dict: Any, source: str, value_prior: bool = False, precision: str = "fp32") -> ValueNetwork:
+    """The network whose parameters these are: sfmrl's own, or those of a CrowdNav SARL checkpoint, wrapped or not.
 
-    Raises ConfigError, naming `source`, where they are not a SARL network's.
+    Its layers have the sizes of the parameters. Raises ConfigError, naming `source` and the first layer that differs,
+    where they are not a SARL network's, and where they are not finite.
     """
-    if not isinstance(state_dict, dict):
-        raise ConfigError(f"{source} does not hold a SARL network but a {type(state_dict).__name__}")
-    for forces in (False, True):
-        network = ValueNetwork(forces, value_prior, precision=precision)
-        wanted = {name: value.shape for name, value in network.state_dict().items()}
-        if wanted == {name: getattr(value, "shape", None) for name, value in state_dict.items()}:
-            network.load_state_dict(state_dict)
-            return network
-    first = getattr(state_dict.get("mlp1.0.weight"), "shape", None)
-    what = f"mlp1.0.weight is {tuple(first)}, not (150, 13) or (150, 17)" if first else "there is no mlp1.0.weight"
-    raise ConfigError(f"{source} does not hold a SARL network without local map: {what}, or other layers differ")
+    parameters = unwrapped(state_dict)
+    try:
+        forces, sizes = architecture(parameters)
+    except ValueError as error:
+        raise ConfigError(f"{source} does not hold a SARL network: {error}") from None
+    network = ValueNetwork(forces, value_prior, precision=precision, sizes=sizes)
+    for name, wanted in network.state_dict().items():
+        if parameters[name].shape != wanted.shape:
+            shapes = f"{tuple(parameters[name].shape)}, not {tuple(wanted.shape)}"
+            raise ConfigError(f"{source} does not hold a SARL network: {name} is {shapes}")
+        if not bool(wanted.copy_(parameters[name].detach()).isfinite().all()):
+            raise ConfigError(
+                f"{source} cannot be played: {name} holds numbers that are not finite, since its training diverged; "
+                "train it again with a smaller --learning-rate"
+            )
+    return network
+
+
+def unwrapped(content: Any) -> Any:
+    """What the usual wrappers hold: {"state_dict": ...} and the like, and "module." before every name."""
+    while isinstance(content, dict) and (keys := [key for key in WRAPPERS if isinstance(content.get(key), dict)]):
+        content = content[keys[0]]
+    for prefix in PREFIXES * isinstance(content, dict):
+        if content and all(str(name).startswith(prefix) for name in content):
+            content = {name.removeprefix(prefix): value for name, value in content.items()}
+    return content
+
+
+def architecture(parameters: Any) -> tuple[bool, Sizes]:
+    """Whether the SARL network with these parameters reads social forces, and the sizes of its layers.
+
+    Raises ValueError, with the reason, where they are those of another network or of none.
+    """
+    if not isinstance(parameters, dict):
+        raise ValueError(f"it is a {type(parameters).__name__}, not parameters by name")
+    names = [str(name) for name in parameters]
+    for beginning, what in ((CADRL, "CADRL, which looks at one person at a time"), (LSTM_RL, "LSTM-RL")):
+        if any(name.startswith(beginning) for name in names):
+            raise ValueError(f"it is another network of CrowdNav's, {what}")
+    known = [
+        f"{part}.{2 * k}.{kind}"
+        for part, units in Sizes()._asdict().items()
+        for k in range(len(units))
+        for kind in ("weight", "bias")
+    ]
+    if absent := [name for name in known if name not in parameters]:
+        raise ValueError(f"there is no {absent[0]}" + (f"; its first layer is {names[0]}" if names else ""))
+    if others := [name for name in names if name not in known]:
+        raise ValueError(f"there is {others[0]}, too")
+    for name, value in parameters.items():
+        dense = (
+            isinstance(value, Tensor) and value.layout == torch.strided and not value.is_nested and not value.is_meta
+        )
+        if not dense or not value.is_floating_point() or value.dim() != (2 if name.endswith("weight") else 1):
+            raise ValueError(f"{name} is not a plain tensor of floating-point numbers")
+        if not 0 < max(value.shape) <= UNITS:
+            raise ValueError(f"{name} is {tuple(value.shape)}; a layer has 1 to {UNITS} units")
+    units, inputs = ([parameters[name].shape[k] for name in known[::2]] for k in (0, 1))
+    sizes = Sizes(tuple(units[:2]), tuple(units[2:4]), (*units[4:6], 1), (*units[7:10], 1))
+    if inputs[0] > len(column_names(False)) and inputs[7] == len(OWN) + sizes.mlp2[-1]:
+        raise ValueError(f"it is OM-SARL: mlp1.0.weight reads {inputs[0]} columns, with those of an occupancy map")
+    if inputs[4] == sizes.mlp1[-1]:
+        raise ValueError("attention.0.weight does not read the mean of all people (with_global_state = false)")
+    return inputs[0] == len(column_names(True)), sizes
 
 
 def save_weights(network: ValueNetwork, config: Config, path: Path) -> str:
@@ -44,20 +110,61 @@ def load_weights(path: Path) -> tuple[ValueNetwork, Config]:
     network in the file.
     """
     path = Path(path)
-    data = read_checked(path) if path.name in read_sums(path.parent) else path.read_bytes()
+    content = read_foreign(read_checked(path) if path.name in read_sums(path.parent) else read_regular(path), path)
+    if not isinstance(content, dict) or not {"weights", "config"} <= set(content):
+        network = network_from(content, str(path))
+        return network, Config(preset="paper", forces=network.forces)
     try:
-        content = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+        config = Config.from_json(content["config"])
+    except ConfigError as error:
+        raise ConfigError(f"the config in {path} cannot be used: {error}") from error
+    # A processor without bfloat16 only has to imitate it, which is slow: it plays in float32 what others trained.
+    precision = "auto" if config.precision == "bf16" else config.precision
+    network = network_from(content["weights"], str(path), config.value_prior, precision)
+    if network.forces != config.forces:
+        raise ConfigError(f"the config in {path} cannot be used: its network reads other columns than it says")
+    return network, config
+
+
+def read_foreign(data: bytes, path: Path) -> Any:
+    """What torch finds in the bytes of a file, without running any code in it; raises ConfigError, naming `path`."""
+    if not data:
+        raise ConfigError(f"{path} is empty; put back a copy")
+    for beginning, what in NO_WEIGHTS.items():
+        if data[:200].lstrip().lower().startswith(beginning):
+            raise ConfigError(f"{path} {what}")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except Exception as error:  # torch's reader raises whatever the bytes lead it to
-        raise ConfigError(
-            f"{path} is not a weights file that torch can load safely; name a run folder, or its weights.pt"
-        ) from error
-    if isinstance(content, dict) and {"weights", "config"} <= set(content):
-        try:
-            config = Config.from_json(content["config"])
-        except ConfigError as error:
-            raise ConfigError(f"the config in {path} cannot be used: {error}") from error
-        # A processor without bfloat16 only has to imitate it, which is slow: it plays in float32 what others trained.
-        precision = "auto" if config.precision == "bf16" else config.precision
-        return network_from(content["weights"], str(path), config.value_prior, precision), config
-    network = network_from(content, str(path))
-    return network, Config(preset="paper", forces=network.forces)
+        if "Unsupported global" in str(error) or "Unsupported class" in str(error):
+            said = "holds Python objects, which could run code; save no more than its state_dict()"
+        else:
+            said = "is not a weights file that torch can load safely; name a run folder, or its weights.pt"
+        raise ConfigError(f"{path} {said}") from error
+
+
+def other_habits(path: Path, robot_visible: bool) -> list[str]:
+    """What the CrowdNav configs beside a checkpoint say that is otherwise here, in sentences."""
+    policy, world = (_ini(path.with_name(name)) for name in ("policy.config", "env.config"))
+    found = []
+    kinematics = policy.get("action_space", "kinematics", fallback="holonomic")
+    if kinematics != "holonomic":
+        found.append(
+            f"{path} was trained for a robot whose kinematics are {kinematics}; here it moves in any direction"
+        )
+    unseen = world.get("robot", "visible", fallback="true").lower() in ("false", "no", "off", "0")
+    if unseen and robot_visible:
+        found.append(f"{path} was trained among people who did not see the robot; --no-robot-visible plays it so")
+    return found
+
+
+def _ini(path: Path) -> configparser.ConfigParser:
+    """A config of CrowdNav's; an empty one where there is none that can be read."""
+    found = configparser.ConfigParser(interpolation=None, strict=False)
+    try:
+        found.read_string(read_regular(path).decode())
+    except (OSError, DamagedFile, UnicodeDecodeError, configparser.Error):
+        return configparser.ConfigParser()
+    return found
