@@ -13,7 +13,7 @@ import numpy as np
 
 from sfmrl.config import Config, ConfigError, Simulation
 from sfmrl.episodes import Record, play_episodes, returns_of, rewards_of
-from sfmrl.files import read_checked, write_atomically
+from sfmrl.files import DamagedFile, read_checked, write_atomically
 from sfmrl.geometry import length
 from sfmrl.learning import Fit, torch_threads
 from sfmrl.lookahead import step_discount
@@ -112,14 +112,23 @@ def save_demonstrations(record: Record, path: Path) -> str:
 
 
 def load_demonstrations(path: Path, simulation: Simulation) -> Record:
-    """The record that `save_demonstrations` wrote, without rewards; raises DamagedFile."""
-    with np.load(io.BytesIO(read_checked(path)), allow_pickle=False) as arrays:
-        steps = arrays["steps"]
-        scenes = Scenes(*(arrays[f"scenes.{f.name}"] for f in fields(Scenes)))
-        played = np.arange(steps.max()) < steps[:, None]
-        moments = np.arange(steps.max() + 1) <= steps[:, None]
-        stored = {name: _spread(arrays[f"transition.{name}"], played) for name in STORED}
-        position, velocity = _spread(arrays["position"], moments), _spread(arrays["velocity"], moments)
+    """The record that `save_demonstrations` wrote, without rewards; raises DamagedFile, also where it is not finite."""
+    data = read_checked(path)
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+            steps = arrays["steps"]
+            scenes = Scenes(*(arrays[f"scenes.{f.name}"] for f in fields(Scenes)))
+            played = np.arange(steps.max()) < steps[:, None]
+            moments = np.arange(steps.max() + 1) <= steps[:, None]
+            stored = {name: _spread(arrays[f"transition.{name}"], played) for name in STORED}
+            position, velocity = _spread(arrays["position"], moments), _spread(arrays["velocity"], moments)
+            there = np.isfinite(scenes.start)[:, None] & moments[..., None, None]
+            parts = {name: values[played] for name, values in stored.items()}
+            parts["separations"] = np.minimum(parts["separations"], 0.0)  # infinite to absent elements
+            if not all(np.isfinite(part).all() for part in (position[there], velocity[there], *parts.values())):
+                raise ValueError("they are not finite")
+    except Exception as error:  # NumPy's reader raises whatever the bytes lead it to
+        raise DamagedFile(f"{path} does not hold demonstrations ({error}); make them again with sfmrl il") from None
     before = np.where(played, length(position[:, :-1, 0] - scenes.goal[:, None, 0]), np.nan)
     time_step = np.where(played, simulation.time_step, np.nan)
     transition = Transition(**stored, time_step=time_step, goal_distance_before=before)

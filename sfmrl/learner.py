@@ -7,10 +7,8 @@ network slowly and is what a quick training is tested with (Polyak and Juditsky,
 import copy
 from typing import Any
 
-import torch
-
 from sfmrl.config import Config
-from sfmrl.learning import OPTIMIZERS, SCHEDULES, forget, generator_state, learn, set_generator_state
+from sfmrl.learning import OPTIMIZERS, SCHEDULES, forget, generator_state, learn, mean_loss, set_generator_state
 from sfmrl.memory import Memory
 from sfmrl.network import ValueNetwork
 from sfmrl.scenarios import generator
@@ -56,7 +54,7 @@ class Learner:
             if settings.average:
                 follow(self.average, self.network, 1 / settings.average)
             self.batch += 1
-        return float(torch.stack(losses).mean()) if losses else float("nan")
+        return mean_loss(losses, self.network, settings) if losses else float("nan")
 
     def advance(self, episodes: int) -> None:
         """So many more episodes have been learnt from: renew the target network where its interval has passed."""

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.optim.sgd import sgd
 
-from sfmrl.config import Imitation
+from sfmrl.config import ConfigError, Imitation, Reinforcement
 from sfmrl.gradients import loss_and_gradients
 from sfmrl.memory import Memory
 from sfmrl.network import ValueNetwork
@@ -68,6 +68,21 @@ def learn(
     return loss
 
 
+def mean_loss(losses: list[Tensor], network: ValueNetwork, settings: Imitation | Reinforcement) -> float:
+    """The mean of the losses of steps of descent; raises ConfigError where it or the network is not finite after them.
+
+    Checkpoints are written after this, so the last one is finite.
+    """
+    loss = float(torch.stack(losses).mean())
+    if not (math.isfinite(loss) and bool(network.flat.isfinite().all())):
+        raise ConfigError(
+            f"the training diverged, its loss is {loss:g}: learning-rate {settings.learning_rate:g} is likely too high "
+            f"for {settings.optimizer} (or the rewards are too large); start a new run with a smaller --learning-rate. "
+            "This one keeps its last good checkpoint"
+        )
+    return loss
+
+
 @torch.no_grad()
 def _descend(optimizer: torch.optim.Optimizer, flat: Tensor, rate: float) -> None:
     """An optimizer's step; SGD's without what torch does around it, which takes longer than the arithmetic."""
@@ -114,8 +129,9 @@ class Fit:
             rate = self.settings.learning_rate * schedule(number / steps)
             losses.append(learn(self.network, self.optimizer, rate, *memory.take(rows)))
             progress(1)
+        loss = mean_loss(losses, self.network, self.settings)
         self.epoch += 1
-        return float(torch.stack(losses).mean())
+        return loss
 
     def state_dict(self) -> dict[str, Any]:
         """All that decides how it goes on."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sfmrl.actions import ACTIONS, best_untrapped
-from sfmrl.config import Config, Simulation
+from sfmrl.config import Config, ConfigError, Simulation
 from sfmrl.crowd import World, transition
 from sfmrl.rewards import COLLISION, reward_terms, total
 from sfmrl.states import robot_states
@@ -62,6 +62,10 @@ class SarlPolicy:
         blocks = [slice(e, e + size) for e in range(0, len(world), size)] or [slice(0)]
         parts = self._pool.map(lambda rows: self._values(world, crowd_velocity, actions, rows), blocks)
         values, outcome = (np.concatenate(part) for part in zip(*parts, strict=True))
+        if not np.isfinite(values).all():
+            raise ConfigError(
+                "the network's values are not finite: its weights are too large, so its training diverged"
+            )
         if self.trap_steps:
             best = best_untrapped(world, crowd_velocity, actions, values, outcome, self.trap_steps)
         else:

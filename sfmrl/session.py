@@ -92,7 +92,7 @@ def choose(
 
     The reward that a network looks ahead with is run if it is sfmrl's, if --reward names it, or with --trust-reward.
     """
-    from sfmrl.policies import POLICIES, load_policy
+    from sfmrl.policies import POLICIES, find_weights, load_policy
     from sfmrl.recovery import with_recovery
 
     name = policy or newest()
@@ -100,7 +100,17 @@ def choose(
     how = (name,) if name in POLICIES else (name, use_threads(threads))
     chosen = load_policy(*how, trust_reward=trust)
     config = override(getattr(chosen, "config", Config()), settings)
+    if name not in POLICIES:
+        say_habits(find_weights(name), config)
     return with_recovery(chosen, config.planner), name, config
+
+
+def say_habits(path: Path, config: Config) -> None:
+    """What the files beside a CrowdNav checkpoint say that is otherwise under a config, on standard error."""
+    from sfmrl.weights import other_habits
+
+    for note in other_habits(path, config.simulation.robot_visible):
+        say(note)
 
 
 def drawn(map_file: Path | None, environment: str | None) -> str | None:

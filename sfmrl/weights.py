@@ -43,8 +43,8 @@ def network_from(state_dict: Any, source: str, value_prior: bool = False, precis
             raise ConfigError(f"{source} does not hold a SARL network: {name} is {shapes}")
         if not bool(wanted.copy_(parameters[name].detach()).isfinite().all()):
             raise ConfigError(
-                f"{source} cannot be played: {name} holds numbers that are not finite, since its training diverged; "
-                "train it again with a smaller --learning-rate"
+                f"{source} cannot be used: {name} holds numbers that are not finite, so its training diverged; "
+                "train it again with a smaller learning rate"
             )
     return network
 
