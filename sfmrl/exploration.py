@@ -24,7 +24,7 @@ from sfmrl.crowd import World
 from sfmrl.episodes import Record, play_episodes, returns_of
 from sfmrl.learner import Learner
 from sfmrl.lookahead import SarlPolicy, step_discount
-from sfmrl.network import ValueNetwork, new_network
+from sfmrl.network import Sizes, ValueNetwork, new_network
 from sfmrl.scenarios import generator, sample_scenes
 
 Explored = tuple[Record, np.ndarray]
@@ -37,13 +37,13 @@ class Explorer:
     be killed, its work is done here.
     """
 
-    def __init__(self, config: Config, threads: int, aside: bool) -> None:
+    def __init__(self, config: Config, threads: int, aside: bool, sizes: Sizes = Sizes()) -> None:
         self._config, self._threads = config, threads
         self._pool = self._policy = None
         if aside:
             spawn = multiprocessing.get_context("spawn")  # a fork would inherit torch's threads in the middle of work
             self._pool = ProcessPoolExecutor(1, spawn, _prepare)
-            self._pool.submit(_policy, config, threads)  # all that takes time before the first episode
+            self._pool.submit(_policy, config, threads, sizes)  # all that takes time before the first episode
 
     def __enter__(self) -> "Explorer":
         return self
@@ -62,7 +62,7 @@ class Explorer:
             return here
         weights = actor.flat.cpu().numpy().copy()
         try:
-            future = self._pool.submit(_explore_aside, weights, self._config, self._threads, episodes)
+            future = self._pool.submit(_explore_aside, weights, actor.sizes, self._config, self._threads, episodes)
         except BrokenProcessPool:
             self._pool = None
             return here
@@ -92,12 +92,14 @@ def _prepare() -> None:
 
 
 @cache
-def _policy(config: Config, threads: int) -> SarlPolicy:
-    return SarlPolicy(new_network(config), config, threads)
+def _policy(config: Config, threads: int, sizes: Sizes) -> SarlPolicy:
+    return SarlPolicy(new_network(config, sizes=sizes), config, threads)
 
 
-def _explore_aside(weights: np.ndarray, config: Config, threads: int, episodes: Sequence[int]) -> Explored:
-    policy = _policy(config, threads)
+def _explore_aside(
+    weights: np.ndarray, sizes: Sizes, config: Config, threads: int, episodes: Sequence[int]
+) -> Explored:
+    policy = _policy(config, threads, sizes)
     policy.network.flat.copy_(torch.from_numpy(weights))
     return explore(policy, config, episodes)
 

@@ -104,6 +104,11 @@ def read_regular(path: Path, most: int = -1) -> bytes:
         return file.read(most)
 
 
+def digest_of(path: Path) -> str:
+    """A file's SHA-256."""
+    return hashlib.sha256(read_regular(path)).hexdigest()
+
+
 def json_object(text: str | bytes) -> dict[str, Any]:
     """The object that a JSON text holds; raises ValueError where it holds none."""
     try:

@@ -42,9 +42,11 @@ def imitate(run: Run, progress: Progress, stop: StopSignal, *, threads: int = 1)
     fill_memory(memory, load_demonstrations(path, config.simulation), config)
     fit = new_fit(config)
     saved = run.load_checkpoint()
-    rows = saved["rows"] if saved else []
+    rows = []
     if saved:
-        fit.load_state_dict(saved["fit"])
+        with run.restoring():
+            rows = [*saved["rows"]]
+            fit.load_state_dict(saved["fit"])
 
     def keep(row: dict) -> None:
         rows.append(row)

@@ -265,6 +265,6 @@ def _mlp(width: int, sizes: tuple[int, ...], generator: torch.Generator, last_re
     return nn.Sequential(*layers if last_relu else layers[:-1])
 
 
-def new_network(config: Config, seed: int = 0) -> ValueNetwork:
+def new_network(config: Config, seed: int = 0, sizes: Sizes = Sizes()) -> ValueNetwork:
     """The network that a config asks for, drawn from `seed`."""
-    return ValueNetwork(config.forces, config.value_prior, seed, config.precision)
+    return ValueNetwork(config.forces, config.value_prior, seed, config.precision, sizes)

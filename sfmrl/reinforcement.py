@@ -14,19 +14,18 @@ from sfmrl.config import Config, ConfigError, Reinforcement
 from sfmrl.episodes import Record
 from sfmrl.evaluation import episode_rows, evaluation_record, metrics
 from sfmrl.exploration import Explored, Explorer, remember
-from sfmrl.files import DamagedFile, read_sums
+from sfmrl.files import DamagedFile, digest_of, read_sums
 from sfmrl.imitation import DEMONSTRATIONS, fill_memory, fit_memory, load_demonstrations, make_memory, new_fit
 from sfmrl.learner import Learner
 from sfmrl.learning import torch_threads
 from sfmrl.lookahead import Policy, SarlPolicy
-from sfmrl.network import new_network
 from sfmrl.policies import WEIGHTS
 from sfmrl.progress import Progress
 from sfmrl.recovery import with_recovery
 from sfmrl.runs import Run, create_run, open_run, run_folders
 from sfmrl.states import column_names
 from sfmrl.stopping import Interrupted, StopSignal
-from sfmrl.weights import load_weights, save_weights
+from sfmrl.weights import load_weights, network_from, save_weights
 
 BEST = "best.pt"  # the weights of the best validation
 CHECKPOINT_EVERY = 20.0  # seconds between checkpoints; when they are taken changes no number
@@ -64,7 +63,7 @@ def reinforce(
         )
 
     aside = settings.overlap and threads > 1
-    with Explorer(config, threads - aside, aside) as explorer:
+    with Explorer(config, threads - aside, aside, learner.network.sizes) as explorer:
         while True:
             if due(learner, settings):
                 rates = metrics(play("validation", settings.validation_episodes))
@@ -138,13 +137,23 @@ def train_stretch(
 def start_run(config: Config, source: Path | None, from_scratch: bool, folder: Path | None, **existing: bool) -> Run:
     """Make the folder of a new training that goes on from imitation run `source`, or from the newest that fits.
 
-    `existing` says what becomes of a folder that is there already, as for `create_run`.
+    If `source` is a weights file, the training goes on from its network, without demonstrations and with its
+    `value_prior`. `existing` says what becomes of a folder that is there already, as for `create_run`.
 
     A run fits that was made under the same preset, seed and simulation; its reward and state do not matter. Raises
     ConfigError, with what to type, where there is none.
     """
     if from_scratch:
         return create_run("rl", config, folder, **existing)
+    if source is not None and source.is_file():
+        network, _ = load_weights(source)
+        if network.forces != config.forces:
+            columns, here = (len(column_names(forces)) for forces in (network.forces, config.forces))
+            remedy = "--forces" if network.forces else "--no-forces, and a variant without"
+            raise ConfigError(f"{source} reads {columns} columns, this training {here}; choose {remedy}")
+        config = replace(config, value_prior=network.value_prior)
+        weights = {"file": str(source.resolve()), "sha256": digest_of(source)}
+        return create_run("rl", config, folder, **existing, weights=weights)
     if source is None:
         fitting = (path for path in run_folders("il") if fits(path, config))
         source = next(fitting, None)
@@ -181,9 +190,17 @@ def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], N
     config, saved = run.config, run.load_checkpoint()
     memory = make_memory(config)
     if saved and "fit" not in saved:
-        learner = Learner(new_network(config), memory, config)
-        learner.load_state_dict(saved)
-        return learner
+        with run.restoring():
+            network = network_from(saved["network"], "it", config.value_prior, config.precision)
+            learner = Learner(network, memory, config)
+            learner.load_state_dict(saved)
+            return learner
+    if weights := run.facts.get("weights"):
+        path = Path(weights["file"])
+        if not path.is_file() or digest_of(path) != weights["sha256"]:
+            raise DamagedFile(f"{path} is not what this run began with any more; put it back, or start a new run")
+        parameters = load_weights(path)[0].state_dict()
+        return Learner(network_from(parameters, str(path), config.value_prior, config.precision), memory, config)
     fit = new_fit(config)
     if run.imitation is None:
         return Learner(fit.network, memory, config)
@@ -199,7 +216,8 @@ def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], N
         return Learner(network, memory, config)
 
     if saved:
-        fit.load_state_dict(saved["fit"])
+        with run.restoring():
+            fit.load_state_dict(saved["fit"])
     reward, columns = config.reward.reward, len(column_names(config.forces))
     say(f"{source} was fitted to another reward or state: refitting to reward {reward}, {columns} columns")
 

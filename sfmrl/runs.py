@@ -10,7 +10,6 @@
 A killed run goes on from its newest checkpoint to the same bits as one that was never stopped.
 """
 
-import io
 import json
 import os
 import platform
@@ -37,7 +36,7 @@ from sfmrl.own_code import reward_digest
 from sfmrl.rewards import reward_terms
 from sfmrl.scenarios import parse_mix
 from sfmrl.variants import variant_name
-from sfmrl.weights import save_weights
+from sfmrl.weights import read_foreign, save_weights
 
 KEEP = 2  # checkpoints kept: the newest, and one to fall back on
 
@@ -87,7 +86,16 @@ class Run:
         except DamagedFile as error:
             before = f"to go on from {saved[-2].name}" if len(saved) > 1 else "to start this run anew"
             raise DamagedFile(f"{error}, or delete it {before}") from None
-        return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+        return read_foreign(data, saved[-1])
+
+    @contextmanager
+    def restoring(self) -> Iterator[None]:
+        """Turn what a checkpoint of another run, or an odd one, leads its readers to into DamagedFile."""
+        try:
+            yield
+        except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            said = str(error).strip().partition("\n")[0].rstrip(":")
+            raise DamagedFile(f"{self.checkpoints()[-1]} is no checkpoint of this run ({said}); delete it") from None
 
     def write_table(self, name: str, rows: list[dict[str, Any]]) -> None:
         """A CSV file with a line a row, whole or as it was."""
@@ -204,7 +212,8 @@ def _facts(path: Path) -> dict[str, Any]:
         facts = json_object(read_checked(path))
     except ValueError as error:
         raise DamagedFile(f"{path} is damaged: {error}; put back a copy") from None
-    kinds = {"kind": str, "variant": str, "created": str, "command": str, "versions": dict, "imitation": str | None}
+    kinds = {"kind": str, "variant": str, "created": str, "command": str, "versions": dict}
+    kinds |= {"imitation": str | None, "weights": dict | None}
     if facts.get("kind") not in KINDS or not all(isinstance(facts.get(n), kind) for n, kind in kinds.items()):
         raise DamagedFile(f"{path} is damaged: it does not say {', '.join(kinds)} of a run; put back a copy")
     return facts

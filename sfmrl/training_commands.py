@@ -20,7 +20,7 @@ from sfmrl.options import (
     option,
     settings_options,
 )
-from sfmrl.session import drawn, existing, finished, new_config, reopen, train, use_threads
+from sfmrl.session import drawn, existing, finished, new_config, reopen, say_habits, train, use_threads
 
 app = typer.Typer()
 
@@ -67,7 +67,7 @@ def rl(
     source: Annotated[
         Path | None,
         option(
-            "imitation run to start from (default the newest that fits)",
+            "imitation run, or weights file, to start from (default the newest run that fits)",
             "--from",
             autocompletion=completion.imitation_runs,
         ),
@@ -107,6 +107,10 @@ def rl(
         return
     if current.imitation:
         say(f"from imitation run {current.imitation}")
+    if weights := current.facts.get("weights"):
+        prior = "with" if current.config.value_prior else "without"
+        say(f"from the network in {weights['file']}, {prior} value-prior as there")
+        say_habits(Path(weights["file"]), current.config)
     result = train(current, lambda progress, stop: reinforce(current, progress, stop, say, threads=workers))
     title = f"{current.folder}, environment {label(current.config.reinforcement.test_environment)}"
     print_metrics(result, f"test of {title}, the network alone")

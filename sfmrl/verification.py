@@ -173,6 +173,8 @@ def _reinforcement(run: Run, replay: Replay) -> Iterator[Finding]:
 def _began(run: Run) -> str | Finding:
     """With which demonstrations a reinforcement began."""
     source = run.imitation
+    if weights := run.facts.get("weights"):
+        return f"none: it went on from {Path(weights['file']).name}, SHA-256 {weights['sha256']}"
     if source is None:
         return "none: trained from scratch"
     if not (source / SUMS).exists():

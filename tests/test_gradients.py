@@ -2,11 +2,11 @@
 
 import pytest
 import torch
-from test_network import random_states
+from test_network import OTHER_SIZES, random_states
 from torch.nn.functional import mse_loss
 
 from sfmrl.gradients import Gradients, loss_and_gradients
-from sfmrl.network import ValueNetwork
+from sfmrl.network import Sizes, ValueNetwork
 
 BATCHES = (1, 8, 37, 100, 200)  # 370 rows are many enough, and odd enough when halved
 
@@ -28,10 +28,13 @@ def by_autograd(network: ValueNetwork, states: torch.Tensor, values: torch.Tenso
 
 
 @pytest.mark.parametrize("absent", [False, True], ids=["all there", "some absent"])
-@pytest.mark.parametrize(("forces", "value_prior"), [(False, False), (True, False), (False, True)])
+@pytest.mark.parametrize(
+    ("forces", "value_prior", "sizes"),
+    [(False, False, Sizes()), (True, False, Sizes()), (False, True, Sizes()), (True, False, OTHER_SIZES)],
+)
 @pytest.mark.parametrize("count", BATCHES)
-def test_the_gradient_is_autograd_s(count, forces, value_prior, absent):
-    network = ValueNetwork(forces, value_prior, seed=count)
+def test_the_gradient_is_autograd_s(count, forces, value_prior, sizes, absent):
+    network = ValueNetwork(forces, value_prior, seed=count, sizes=sizes)
     states, values = batch(network, count, absent=absent)
     loss, found = loss_and_gradients(network, states, values)
     expected_loss, expected = by_autograd(network, states, values)

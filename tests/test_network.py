@@ -2,6 +2,7 @@
 
 import copy
 import io
+import os
 import pickle
 import re
 from pathlib import Path
@@ -17,11 +18,11 @@ from torch import nn
 from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import evaluation_record, metrics
 from sfmrl.files import DamagedFile
-from sfmrl.network import ValueNetwork, linear_relu, new_network
+from sfmrl.network import Sizes, ValueNetwork, linear_relu, new_network
 from sfmrl.policies import load_policy
 from sfmrl.states import OWN, column_names
 from sfmrl.variants import make_config
-from sfmrl.weights import load_weights, save_weights
+from sfmrl.weights import load_weights, other_habits, save_weights
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +52,13 @@ def test_value_and_attention_equal_crowdnav_s_with_its_weights(crowdnav, crowdna
     np.testing.assert_allclose(attention, crowdnav["attention"], rtol=0, atol=1e-5)
 
 
-def test_value_by_a_naive_loop_over_states_and_elements():
+OTHER_SIZES = Sizes((50, 30), (70, 20), (40, 25, 1), (60, 80, 35, 1))
+
+
+@pytest.mark.parametrize("sizes", [Sizes(), OTHER_SIZES], ids=["the paper's", "others"])
+def test_value_by_a_naive_loop_over_states_and_elements(sizes):
     """The definition with torch's plain layers, one state and one element at a time; 17 columns, one absent element."""
-    network = ValueNetwork(forces=True, seed=5)
+    network = ValueNetwork(forces=True, seed=5, sizes=sizes)
     states = random_states(6, 4, forces=True)
     states[2, 1, 8:] = np.nan
     value, attention = network.evaluate(states)
@@ -248,9 +253,46 @@ def saved(content: object) -> bytes:
     return file.getvalue()
 
 
+PLAIN = ValueNetwork(seed=3, sizes=OTHER_SIZES).state_dict()
+WRAPPED = {
+    "as CrowdNav saves it": PLAIN,
+    "of DataParallel": {f"module.{name}": value for name, value in PLAIN.items()},
+    "in a larger model": {f"model.{name}": value for name, value in PLAIN.items()},
+    "with an epoch": {"state_dict": PLAIN, "epoch": 3},
+    "with an optimizer": {"model": {f"module.{name}": value for name, value in PLAIN.items()}, "optimizer": {}},
+    "in double precision": {"model_state_dict": {name: value.double() for name, value in PLAIN.items()}},
+}
+
+
+@pytest.mark.parametrize("how", WRAPPED)
+def test_a_network_of_any_size_is_read_however_it_is_wrapped(tmp_path, how):
+    torch.save(WRAPPED[how], tmp_path / "some.pth")
+    network, config = load_weights(tmp_path / "some.pth")
+    assert (network.sizes, network.forces, config.forces) == (OTHER_SIZES, False, False)
+    assert all(torch.equal(value, PLAIN[name]) for name, value in network.state_dict().items())
+
+
+def test_crowdnav_s_output_folder_plays_its_network_and_says_what_it_was_trained_for(tmp_path):
+    torch.save(PLAIN, tmp_path / "rl_model.pth")
+    path = tmp_path / "rl_model.pth"
+    assert load_policy(tmp_path).network.sizes == OTHER_SIZES
+    assert other_habits(path, robot_visible=True) == []
+    (tmp_path / "policy.config").write_text("[action_space]\nkinematics = unicycle\n")
+    (tmp_path / "env.config").write_text("[robot]\nvisible = false\n")
+    moves, seen = other_habits(path, robot_visible=True)
+    assert "unicycle" in moves
+    assert "--no-robot-visible" in seen
+    assert other_habits(path, robot_visible=False) == [moves]
+    (tmp_path / "policy.config").write_bytes(b"\xff[")
+    (tmp_path / "env.config").write_text("no section")
+    assert other_habits(path, robot_visible=True) == []
+
+
 GOOD = {"weights": ValueNetwork().state_dict(), "config": Config().to_json()}
 FOREIGN = {
     "empty": b"",
+    "a web page": b"\n<!DOCTYPE html><html>404</html>",
+    "a git-lfs pointer": b"version https://git-lfs.github.com/spec/v1\noid sha256:abc\n",
     "text": b"no weights at all\n",
     "cut in half": saved(GOOD)[: len(saved(GOOD)) // 2],
     "a list": saved([1, 2, 3]),
@@ -266,6 +308,58 @@ FOREIGN = {
 }
 
 
+SAID = {  # of some of them, what they are
+    "empty": "is empty",
+    "a web page": "is a web page",
+    "a git-lfs pointer": "git lfs pull",
+    "a layer too few": "there is no mlp3.6.bias",
+    "a module": "state_dict",
+    "a layer too many": "there is extra.weight, too",
+    "CADRL": "CADRL",
+    "LSTM-RL": "LSTM-RL",
+    "OM-SARL": "OM-SARL: mlp1.0.weight reads 61 columns",
+    "attention without the mean": "with_global_state",
+    "layers that do not fit": "attention.2.weight is (100, 90), not (100, 100)",
+    "other columns": "mlp1.0.weight is (150, 12), not (150, 13)",
+    "weights that are NaN": "mlp3.6.bias holds numbers that are not finite",
+    "weights too large for float32": "mlp1.0.bias holds numbers that are not finite",
+    "a config of other columns": "reads other columns",
+}
+
+
+def altered(**layers: object) -> bytes:
+    """A good network with some parameters replaced; "mlp3_6_bias" is mlp3.6.bias."""
+    return saved(GOOD["weights"] | {name.replace("_", "."): value for name, value in layers.items()})
+
+
+FOREIGN |= {
+    "a module": saved(nn.Linear(3, 3)),
+    "a layer too many": altered(extra_weight=torch.zeros(3, 3)),
+    "CADRL": saved({"value_network.0.weight": torch.zeros(150, 13)}),
+    "LSTM-RL": saved({"mlp.0.weight": torch.zeros(150, 56), "lstm.weight_ih_l0": torch.zeros(200, 13)}),
+    "OM-SARL": altered(mlp1_0_weight=torch.zeros(150, 61)),
+    "attention without the mean": altered(attention_0_weight=torch.zeros(100, 100)),
+    "layers that do not fit": altered(attention_2_weight=torch.zeros(100, 90)),
+    "other columns": altered(mlp1_0_weight=torch.zeros(150, 12)),
+    "weights that are NaN": altered(mlp3_6_bias=torch.full((1,), torch.nan)),
+    "weights too large for float32": altered(mlp1_0_bias=torch.full((150,), 1e300, dtype=torch.float64)),
+    "weights of ours that are infinite": saved(
+        GOOD | {"weights": {name: value / 0 for name, value in GOOD["weights"].items()}}
+    ),
+    "a config of other columns": saved(GOOD | {"config": Config(forces=True).to_json()}),
+    "a config that is deep": saved(GOOD | {"config": '{"a":' * 100_000}),
+    "a sparse layer": altered(mlp1_0_weight=torch.zeros(150, 13).to_sparse()),
+    "a layer without numbers": altered(mlp1_0_weight=torch.zeros(150, 13, device="meta")),
+    "a layer of integers": altered(mlp1_0_weight=torch.zeros(150, 13, dtype=torch.int8)),
+    "a complex layer": altered(mlp1_0_weight=torch.zeros(150, 13, dtype=torch.complex64)),
+    "a layer that is endless": altered(mlp1_0_weight=torch.zeros(1, 1).expand(2**30, 2**30)),
+    "layers with nothing": altered(mlp1_0_weight=torch.zeros(0, 13), mlp1_0_bias=torch.zeros(0)),
+    "numbers for layers": saved(dict.fromkeys(GOOD["weights"], 0.5)),
+    "keys that are numbers": saved({3: torch.zeros(3)}),
+}
+
+
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("what", FOREIGN)
 def test_files_that_hold_no_sarl_network_are_named_in_one_line(tmp_path, what):
     path = tmp_path / "some.pt"
@@ -273,6 +367,22 @@ def test_files_that_hold_no_sarl_network_are_named_in_one_line(tmp_path, what):
     with pytest.raises(ConfigError, match=r"some\.pt") as error:
         load_policy(path)
     assert "\n" not in str(error.value)
+    assert SAID.get(what, "") in str(error.value)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+def test_a_pipe_is_no_weights_file_and_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "some.pt")
+    with pytest.raises(DamagedFile, match=r"some\.pt is not a regular file"):
+        load_policy(tmp_path / "some.pt")
+
+
+def test_a_network_too_large_to_have_finite_values_is_not_played(tmp_path):
+    network = ValueNetwork()
+    network.flat.mul_(1e30)
+    save_weights(network, Config(), tmp_path / "weights.pt")
+    with pytest.raises(ConfigError, match="values are not finite"):
+        evaluation_record(load_policy(tmp_path / "weights.pt"), environment="5", episodes=1)
 
 
 @pytest.mark.filterwarnings("ignore:Detected pickle protocol")

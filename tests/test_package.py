@@ -68,7 +68,7 @@ LEVELS = (
     ),
 )
 ORDER = [name for level in LEVELS for name in level]
-WITH_TORCH = {"network", "weights", "gradients", "memory", "learning", "learner", "exploration", "runs", "self_test"}
+WITH_TORCH = {"network", "weights", "gradients", "memory", "learning", "exploration", "runs", "self_test"}
 PACKAGE = sorted((ROOT / "sfmrl").glob("*.py"))
 MODELS = sorted((ROOT / "sfmrl" / "models").iterdir())
 FILES = [path for path in PACKAGE if path.stem not in ("__init__", "__main__")]
