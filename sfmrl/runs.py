@@ -86,7 +86,10 @@ class Run:
         except DamagedFile as error:
             before = f"to go on from {saved[-2].name}" if len(saved) > 1 else "to start this run anew"
             raise DamagedFile(f"{error}, or delete it {before}") from None
-        return read_foreign(data, saved[-1])
+        state = read_foreign(data, saved[-1])
+        if not isinstance(state, dict) or not state:
+            raise DamagedFile(f"{saved[-1]} is no checkpoint of this run (it is empty); delete it")
+        return state
 
     @contextmanager
     def restoring(self) -> Iterator[None]:

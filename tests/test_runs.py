@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +17,14 @@ import pytest
 import torch
 from conftest import environment
 
-from sfmrl.config import Config, ConfigError
+from sfmrl.config import Config, ConfigError, override
 from sfmrl.files import SUMS, DamagedFile, read_checked, read_sums, write_atomically
+from sfmrl.greeting import greeting
 from sfmrl.imitation import DEMONSTRATIONS, demonstrate, imitate, load_demonstrations
 from sfmrl.network import resolved
 from sfmrl.policies import WEIGHTS, load_policy
 from sfmrl.progress import no_progress
+from sfmrl.reinforcement import reinforce, start_run
 from sfmrl.runs import Run, create_run, newest_run, open_run, run_folders
 from sfmrl.stopping import Interrupted, StopSignal
 from sfmrl.variants import make_config
@@ -167,6 +170,106 @@ def test_a_damaged_checkpoint_is_named_and_the_one_before_offered(interrupted):
     flip_a_bit(older)
     with pytest.raises(DamagedFile, match="delete it to start this run anew"):
         open_run(folder).load_checkpoint()
+
+
+def relist(*paths: Path) -> None:
+    """Let SHA256SUMS say that these files are what was written."""
+    for path in paths:
+        data = path.read_bytes()
+        write_atomically(path, lambda file, data=data: file.write(data))
+
+
+ODD_JSON = [
+    "",
+    "[]",
+    "{}",
+    "3",
+    '{"kind": "il"}',
+    '{"kind": [], "reward": {"reward": []}}',
+    "[" * 100_000,
+    '{"a":' * 100_000,
+]
+
+
+@pytest.mark.parametrize("text", ODD_JSON, ids=[text[:12] for text in ODD_JSON])
+@pytest.mark.parametrize("name", ["config.json", "run.json"])
+def test_odd_json_is_one_error_that_names_the_file(folder, monkeypatch, name, text):
+    (folder / name).write_text(text)
+    relist(folder / name)
+    if (name, text) != ("config.json", "{}"):  # that is the plain config
+        with pytest.raises((DamagedFile, ConfigError), match=name) as error:
+            open_run(folder)
+        assert "\n" not in str(error.value)
+    monkeypatch.chdir(folder.parent)
+    (folder.parent / "runs").mkdir()
+    folder.rename(folder.parent / "runs" / "odd")
+    assert isinstance(greeting(), str)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+@pytest.mark.parametrize("name", ["config.json", "run.json", SUMS, WEIGHTS])
+def test_a_pipe_in_a_run_folder_is_not_waited_for(folder, name):
+    (folder / name).unlink()
+    os.mkfifo(folder / name)
+    read = load_policy if name in (SUMS, WEIGHTS) else open_run
+    with pytest.raises((DamagedFile, ConfigError), match=f"{name} is not a regular file|has no run.json"):
+        read(folder)
+
+
+ODD_CHECKPOINTS = {
+    "empty": {},
+    "another network": {"network": torch.nn.Linear(3, 3).state_dict()},
+    "of an imitation that has not begun": {"fit": {}, "rows": []},
+    "no rows": {"fit": {}, "rows": 3},
+}
+
+
+@pytest.mark.parametrize("what", ODD_CHECKPOINTS)
+def test_a_checkpoint_of_something_else_is_one_error(interrupted, finished, tmp_path, what):
+    other = override(TINY, {"reward": {"reward": "sfm"}})  # so that the network is fitted again
+    for run in (open_run(interrupted), start_run(other, finished, False, tmp_path / "rl")):
+        run.save_checkpoint(ODD_CHECKPOINTS[what])
+        work = imitate if run.kind == "il" else partial(reinforce, say=lambda text: None)
+        with pytest.raises(DamagedFile, match=r"checkpoint-\d+.pt is no checkpoint of this run"):
+            work(run, no_progress, StopSignal())
+
+
+SPOILT = {
+    "a place": lambda arrays: arrays["position"].__setitem__((3, 0), np.nan),
+    "a velocity": lambda arrays: arrays["velocity"].__setitem__((-1, 0, 1), np.inf),
+    "a distance": lambda arrays: arrays["transition.goal_distance"].__setitem__(5, np.nan),
+    "a gap": lambda arrays: arrays["transition.separations"].__setitem__((5, 0), np.nan),
+    "the steps": lambda arrays: arrays.update(steps=np.zeros(0)),
+    "an array too few": lambda arrays: arrays.pop("velocity"),
+    "a pickle": lambda arrays: arrays.update(steps=np.array([{}, None])),
+}
+
+
+@pytest.mark.parametrize("what", SPOILT)
+def test_demonstrations_that_are_not_finite_are_not_learnt_from(folder, what):
+    path = folder / DEMONSTRATIONS
+    arrays = dict(np.load(path))
+    SPOILT[what](arrays)
+    write_atomically(path, lambda file: np.savez(file, **arrays))
+    with pytest.raises(DamagedFile, match=f"{DEMONSTRATIONS} does not hold demonstrations"):
+        load_demonstrations(path, TINY.simulation)
+
+
+def test_a_training_that_diverges_stops_and_names_its_learning_rate(finished, tmp_path, monkeypatch):
+    wild = {"imitation": {"optimizer": "sgd", "learning_rate": 100.0, "schedule": "constant"}}
+    run = create_run("il", override(TINY, wild), tmp_path / "il")
+    with pytest.raises(ConfigError, match="learning-rate 100 is likely too high for sgd"):
+        imitate(run, no_progress, StopSignal())
+    assert not run.finished
+    assert all(value.isfinite().all() for value in run.load_checkpoint()["fit"]["network"].values())
+    reinforcement = {"episodes": 20, "parallel": 5, "overlap": False, "learning_rate": 1000.0, "optimizer": "sgd"}
+    reinforcement |= {"validation_episodes": 1, "environment": "5", "test_environment": "5", "average": 0}
+    run = start_run(override(TINY, {"reinforcement": reinforcement}), finished, False, tmp_path / "rl")
+    monkeypatch.setattr("sfmrl.reinforcement.CHECKPOINT_EVERY", 0.0)
+    with pytest.raises(ConfigError, match="learning-rate 1000 is likely too high for sgd"):
+        reinforce(run, no_progress, StopSignal(), lambda text: None)
+    assert not run.finished
+    assert run.load_checkpoint() is None  # there was none yet
 
 
 def test_damaged_sums_are_an_error_too(folder):
