@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sfmrl.config import Config, ConfigError, Reward, Simulation
+from sfmrl.config import EPISODES, Config, ConfigError, Reward, Simulation
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.intervals import wilson
 from sfmrl.lookahead import Policy
@@ -46,8 +46,8 @@ def evaluation_record(
     be tested in; for a policy that was not trained, table 1's mix and CRI's. Raises ConfigError on names that stand for
     nothing and on less than one episode.
     """
-    if episodes < 1:
-        raise ConfigError(f"episodes is {episodes}; it must be at least 1")
+    if not 1 <= episodes <= EPISODES:
+        raise ConfigError(f"episodes is {episodes}; it must be at least 1 and at most {EPISODES}")
     chosen = find_policy(policy, reward)
     own = getattr(chosen, "config", Config())
     settings = own.reward if reward is None else as_reward(reward)

@@ -1,14 +1,18 @@
 """The command as people and programs use it: real processes, their output, exit codes and error lines."""
 
 import csv
+import hashlib
 import inspect
 import json
+import math
+import os
 import re
 import shlex
 import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import fields
 from pathlib import Path
 from typing import get_args
 
@@ -19,7 +23,9 @@ from conftest import ROOT, environment
 
 from sfmrl import __version__, cli, completion
 from sfmrl.cli import app, main
+from sfmrl.config import Config, ConfigError, Imitation, Planner, Reinforcement, Reward, Simulation, SocialForce
 from sfmrl.models import model_names
+from sfmrl.network import Sizes, ValueNetwork
 from sfmrl.policies import POLICIES
 from sfmrl.rewards import REWARDS
 from sfmrl.scenarios import ENVIRONMENTS, parse_mix
@@ -121,6 +127,76 @@ def test_a_run_from_scratch_needs_no_imitation(sfmrl: Call):
     done = sfmrl("rl", "--from-scratch", *TINY_RL, "--forces", "--environment", "5", "--time-limit", "4")
     assert done.returncode == 0, done.stderr
     assert "environment 5" in done.stdout
+
+
+def test_a_network_of_crowdnav_s_is_trained_on_from_its_file(sfmrl: Call, tmp_path: Path):
+    sizes = Sizes((40, 30), (40, 20), (30, 30, 1), (40, 30, 20, 1))  # not the usual ones
+    network = ValueNetwork(seed=3, sizes=sizes)
+    path = tmp_path / "il_model.pth"
+    torch.save(network.state_dict(), path)
+    short = [*TINY_RL, "--environment", "5", "--time-limit", "4", "--learning-rate", "0", "--no-recover"]
+    short += ["--average", "0", "--run", "mine"]
+    assert_one_line_error(sfmrl("rl", "--from", path, "--forces", *short), "reads 13 columns, this training 17")
+    done = sfmrl("rl", "--from", path, *short)  # on a process of its own, too, since the preset says overlap
+    assert done.returncode == 0, done.stderr
+    assert f"from the network in {path}, without value-prior" in done.stderr
+    trained, config = load_weights(tmp_path / "mine" / "weights.pt")
+    assert (trained.sizes, config.value_prior) == (sizes, False)
+    assert torch.equal(trained.flat, network.flat)  # at a learning rate of 0
+    facts = json.loads((tmp_path / "mine" / "run.json").read_text())
+    assert facts["weights"]["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert "il_model.pth" in sfmrl("verify", "mine", "--episodes", "1").stdout
+    # Before the first checkpoint, it begins anew from the file, if that is still the same.
+    for name in ("weights.pt", "result.json", "best.pt"):
+        (tmp_path / "mine" / name).unlink()
+    torch.save(ValueNetwork(seed=4, sizes=sizes).state_dict(), path)
+    assert_last_line(sfmrl("rl", "--resume", "mine"), "is not what this run began with any more")
+
+
+def assert_last_line(done: subprocess.CompletedProcess, words: str) -> None:
+    """Wrong use that is found after something has been said."""
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert words in done.stderr.splitlines()[-1]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+def test_pipes_are_no_files_and_are_not_waited_for(in_process: Call, tmp_path: Path):
+    os.mkfifo(tmp_path / "pipe")
+    os.mkfifo(tmp_path / "pipe.py")
+    for words in (
+        ("eval", "pipe"),
+        ("compare", "orca", "pipe"),
+        ("explain", "pipe"),
+        ("ascii-render", "pipe"),
+        ("eval", "orca", "--map", "pipe"),
+        ("eval", "orca", "--episodes", "1", "--csv", "pipe", "--overwrite"),
+        ("eval", "orca", "--episodes", "1", "--reward", "pipe.py:mine"),
+        ("ascii-render", "orca", "--svg", "pipe", "--overwrite"),
+        ("rl", "--from", "pipe"),
+        ("verify", "pipe"),
+    ):
+        assert_one_line_error(in_process(*words), "pipe")
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"sha256": 3}', "[" * 100_000])
+def test_a_model_s_odd_card_is_one_error(in_process: Call, monkeypatch, tmp_path: Path, text):
+    monkeypatch.setattr("sfmrl.models.FOLDER", tmp_path)
+    (tmp_path / "odd.json").write_text(text)
+    (tmp_path / "odd.pt").write_bytes(b"")
+    for words in (("models",), ("eval", "odd", "--episodes", "1")):
+        assert_one_line_error(in_process(*words), "not what sfmrl came with; install sfmrl again")
+
+
+@pytest.mark.parametrize("section", [Simulation, Reward, Planner, Imitation, Reinforcement, SocialForce, Config])
+def test_every_number_of_the_config_has_both_ends_and_takes_nothing_beyond(section):
+    for item in fields(section):
+        if isinstance(item.default, (int, float)) and not isinstance(item.default, bool):
+            low, high = item.metadata["least"], item.metadata["most"]
+            assert low <= item.default <= high
+            for bad in (low - 1, high + 1, math.nan, math.inf, -math.inf, 10**400, "1", None, True, [1]):
+                with pytest.raises(ConfigError, match=item.name.replace("_", "-")):
+                    section(**{item.name: bad})
 
 
 WRONG_USE = [
