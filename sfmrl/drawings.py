@@ -25,6 +25,8 @@ def load_map(path: str | Path) -> str:
     Raises ConfigError, with the file's name, line and column, where it draws none.
     """
     path = Path(path)
+    if path.exists() and not path.is_file():
+        raise ConfigError(f"{path} is a folder, a pipe or a device; name a text file with a map")
     try:
         text = read_regular(path, LARGEST + 1)
     except FileNotFoundError:
