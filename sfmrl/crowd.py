@@ -90,6 +90,7 @@ class World:
 def reset(scenes: Scenes, simulation: Simulation = Simulation(), planner: Planner | None = None) -> World:
     """The world in which all `scenes` stand at their starts, everybody at rest; with geodesics if `planner` asks."""
     velocity = np.where(np.isnan(scenes.start), np.nan, 0.0)
+    reach = simulation.longest * simulation.time_step * scenes.v_pref[:, 0]
     return World(
         position=scenes.start,
         velocity=velocity,
@@ -98,10 +99,10 @@ def reset(scenes: Scenes, simulation: Simulation = Simulation(), planner: Planne
         radius=scenes.radius,
         v_pref=scenes.v_pref,
         square=scenes.square,
-        edges=polygon_edges(scenes.polygons),
+        edges=polygon_edges(scenes.polygons, scenes.start),
         episode=np.arange(len(scenes)),
         simulation=simulation,
-        geodesics=None if planner is None else plan(scenes, planner),
+        geodesics=None if planner is None else plan(scenes, planner, reach),
     )
 
 
@@ -143,7 +144,7 @@ def orca_crowd(
 
 
 def sfm_crowd(world: World, position: np.ndarray) -> np.ndarray:
-    """The Social Force Model's velocities, (E, N, 2); squares push as their discs do."""
+    """The Social Force Model's velocities, (E, N, 2), by forces from surface to surface."""
     return sfm_velocities(
         position,
         world.velocity,

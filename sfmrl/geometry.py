@@ -5,6 +5,32 @@ operations that give the same bits whatever the shape of the batch.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+
+def numbers(name: str, value: ArrayLike) -> np.ndarray:
+    """`value` as an array of floats; raises ValueError, with the argument's `name`, where it is none."""
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be a number or an array of numbers") from None
+
+
+def vectors(name: str, value: ArrayLike) -> np.ndarray:
+    """`value` as an array of floats (..., 2); raises ValueError, with the argument's `name`, where it is none."""
+    value = numbers(name, value)
+    if value.shape[-1:] != (2,):
+        raise ValueError(f"{name} must have shape (..., 2), not {value.shape}")
+    return value
+
+
+def broadcast(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+    """`value` as floats of a `shape` that it broadcasts to; raises ValueError, with its `name`, where it does not."""
+    value = numbers(name, value)
+    try:
+        return value if value.shape == shape else np.broadcast_to(value, shape)
+    except ValueError:
+        raise ValueError(f"{name} must broadcast to shape {shape}, not have shape {value.shape}") from None
 
 
 def length(vector: np.ndarray) -> np.ndarray:
@@ -23,6 +49,19 @@ def limit(vector: np.ndarray, longest: np.ndarray) -> np.ndarray:
     norm = length(vector)
     longer = norm > longest
     return vector * np.where(longer, longest / np.where(longer, norm, 1.0), 1.0)[..., None]
+
+
+def square_gap(offset: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance from an axis-aligned square's outline (m, negative inside), and the unit vector straight away from it.
+
+    `offset` (..., 2) leads from the square's centre, `half` (...) is half its side, in m; (...) and (..., 2).
+    """
+    beyond = np.abs(offset) - half[..., None]
+    x, y = beyond[..., 0], beyond[..., 1]
+    nearest, outside = np.maximum(x, y), np.maximum(beyond, 0.0)
+    inside = nearest <= 0  # then the way out leads through the nearest side
+    way = np.where(inside[..., None], np.stack((x >= y, x < y), axis=-1), outside)
+    return np.where(inside, nearest, length(outside)), direction(np.copysign(way, offset))
 
 
 def closest_approach(offset: np.ndarray, relative_velocity: np.ndarray, duration: float) -> np.ndarray:

@@ -12,12 +12,15 @@ runs through one long row, and linear programs run only for agents whose preferr
 summed over an axis: an episode's result has the same bits whatever the batch.
 """
 
+from numbers import Integral
+
 import numpy as np
 
+from sfmrl.geometry import broadcast, numbers
 from sfmrl.linear_programs import least_violations, nearest_velocities, one_by_one, violations
 from sfmrl.orca_agents import agent_half_planes, mutual_half_planes
 from sfmrl.orca_polygons import edge_half_planes, uncovered
-from sfmrl.polygons import FIELDS, Edges, polygon_edges
+from sfmrl.polygons import Edges, polygon_edges
 from sfmrl.vectors import INFINITY, limit_speed
 
 __all__ = ["Edges", "orca_velocities", "polygon_edges"]
@@ -57,23 +60,33 @@ def orca_velocities(
     position (m), velocity and preferred_velocity (m/s) are (E, N, 2), radius (m) and max_speed (m/s) broadcast to
     (E, N). An agent whose position is NaN is absent: it gets NaN and influences nobody. `polygons` (E, P, V, 2) in m or
     their `polygon_edges` stand still. `agents` (E, N) are those to compute, all by default; the others get NaN but are
-    avoided. time_step and horizons are in s, neighbor_distance in m. Raises ValueError for wrong shapes and polygons.
+    avoided. time_step and horizons are in s, neighbor_distance in m. Raises ValueError for wrong shapes and polygons,
+    and for numbers that are not finite or out of range. A scene may lie anywhere, but its agents within a few
+    kilometres: they are computed in float32 relative to an origin near most of them.
     Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011.
     """
-    position = np.asarray(position)
+    position = numbers("position", position)
     if position.ndim != 3 or position.shape[2] != 2:
         raise ValueError(f"position must have shape (E, N, 2), not {position.shape}")
     episodes, rows = shape = position.shape[:2]
+    time_step, time_horizon = _positive("time_step", time_step), _positive("time_horizon", time_horizon)
+    obstacle_time_horizon = _positive("obstacle_time_horizon", obstacle_time_horizon)
+    neighbor_distance = _positive("neighbor_distance", neighbor_distance, least=0.0, most=np.inf)
+    if not isinstance(max_neighbors, Integral) or max_neighbors < 0:
+        raise ValueError(f"max_neighbors is {max_neighbors!r}; it must be a whole number, 0 or more")
+    outline = _edges(polygons, position)
+    edges = outline.values
     planes = np.empty((8, rows, episodes), np.float32)
-    planes[0:2] = position.T
-    planes[2:4] = _checked("velocity", velocity, position.shape).T
-    planes[4] = _broadcast("radius", radius, shape).T
-    planes[5] = _broadcast("max_speed", max_speed, shape).T
-    planes[6:8] = _checked("preferred_velocity", preferred_velocity, position.shape).T
-    edges = _edge_values(polygons, episodes)
-    wanted = present = ~np.isnan(planes[0])
+    with np.errstate(over="ignore", invalid="ignore"):
+        np.subtract(position.T, outline.origin.T[:, None], out=planes[0:2], casting="same_kind")
+        planes[2:4] = _checked("velocity", velocity, position.shape).T
+        planes[4] = broadcast("radius", radius, shape).T
+        planes[5] = broadcast("max_speed", max_speed, shape).T
+        planes[6:8] = _checked("preferred_velocity", preferred_velocity, position.shape).T
+    wanted = present = ~np.isnan(position).any(axis=2).T
+    _check_finite(planes, present)
     if agents is not None:
-        wanted = present & _checked("agents", agents, shape).astype(bool).T
+        wanted = present & (_checked("agents", agents, shape) != 0).T
     others, own = present.any(axis=1).nonzero()[0], wanted.any(axis=1).nonzero()[0]
 
     velocities = np.full((episodes, rows, 2), np.nan)
@@ -174,25 +187,37 @@ def _least(distance, count):
     return chosen.reshape(-1, count) % distance.shape[1]
 
 
-def _edge_values(polygons, episodes):
-    if polygons is None:
-        return np.empty((FIELDS, 0, episodes), np.float32)
-    edges = polygons if isinstance(polygons, Edges) else polygon_edges(polygons)
-    if len(edges) != episodes:
-        raise ValueError(f"polygons must belong to {episodes} episodes, not to {len(edges)}")
-    return edges.values
+def _edges(polygons, position):
+    """Return the polygons' Edges, of no polygon where they are None, for agents at the positions (E, N, 2)."""
+    if isinstance(polygons, Edges):
+        if len(polygons) != len(position):
+            raise ValueError(f"polygons must belong to {len(position)} episodes, not to {len(polygons)}")
+        return polygons
+    polygons = np.empty((len(position), 0, 1, 2)) if polygons is None else numbers("polygons", polygons)
+    return polygon_edges(polygons, position)
 
 
 def _checked(name, value, shape):
-    value = np.asarray(value)
+    value = numbers(name, value)
     if value.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, not {value.shape}")
     return value
 
 
-def _broadcast(name, value, shape):
-    value = np.asarray(value)
-    try:
-        return value if value.shape == shape else np.broadcast_to(value, shape)
-    except ValueError:
-        raise ValueError(f"{name} must broadcast to shape {shape}, not have shape {value.shape}") from None
+def _check_finite(planes, present):
+    """Raise ValueError where planes (8, N, E) hold for somebody present (N, E) what is no number or below its range."""
+    good = np.isfinite(planes)
+    good[4:6] &= planes[4:6] >= 0
+    bad = (present & ~good).any(axis=(1, 2))
+    if bad.any():
+        names = ("position", "velocity", "radius", "max_speed", "preferred_velocity")
+        name = names[(0, 0, 1, 1, 2, 3, 4, 4)[bad.argmax()]]
+        least = " and not below 0" if name in ("radius", "max_speed") else ""
+        raise ValueError(f"{name} must be finite{least} for everybody whose position is not NaN")
+
+
+def _positive(name, value, least=np.finfo(np.float32).tiny, most=np.finfo(np.float32).max):
+    number = numbers(name, value)
+    if number.ndim or not least <= number <= most:
+        raise ValueError(f"{name} is {value!r}; it must be a finite number{' above 0' if least else ', 0 or more'}")
+    return float(number)

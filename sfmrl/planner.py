@@ -4,7 +4,8 @@ A cell's distance is the length of the shortest path over the grid, whose steps 
 more than 1.4 % too long. Sweeps over the rows and columns, to and fro, find it; they end when nothing changes any more
 (the order of fast sweeping: Zhao, 2005). Cells in which the robot would all but touch a square count as very long,
 those within `inflation` of it as longer, so every place has a distance, also one where the robot had better not be.
-People are left out: they will have moved on.
+Left out are people, who will have moved on, and what the robot cannot reach: squares far from its start do not count,
+and the way to a goal beyond its reach leads around squares to the point where the straight line there leaves its reach.
 """
 
 import math
@@ -12,10 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sfmrl.config import Planner
+from sfmrl.config import ConfigError, Planner
+from sfmrl.geometry import length
 from sfmrl.scenarios import Scenes
 
 BLOCK = 64  # scenes at a time: few enough for their grids to stay in the cache
+REACH = 60.0  # m around the robot's start that are planned for at least: more than any map is wide
+MOST_ACROSS, MOST_CELLS = 4096, 2**29  # cells of a grid in x and in y, and of all grids together (2 GiB)
+AT_ONCE = 2**22  # cells of the grids that are worked on together
 MARGIN = 1.0  # m that a grid reaches beyond the robot's start, its goal and the squares
 # The steps that lead aside too, in cells ahead and aside, by their length.
 STEPS = (((1, 1),), ((1, 2), (2, 1)), ((1, 3), (3, 1)))
@@ -32,12 +37,14 @@ class Geodesics:
     values (E, Y, X): m, float32, +inf beyond a scene's own grid
     corner (E, 2): m, where the first cell's centre is
     size (E, 2): how many cells a grid has in x and y
+    beyond (E,): m, how far the goal lies beyond the robot's reach; 0 for goals within reach
     resolution: m, side of a cell
     """
 
     values: np.ndarray
     corner: np.ndarray
     size: np.ndarray
+    beyond: np.ndarray
     resolution: float
 
     def at(self, scene: np.ndarray, position: np.ndarray) -> np.ndarray:
@@ -50,7 +57,7 @@ class Geodesics:
         place = (position - self.corner[scene][*many, :]) / self.resolution
         inside = np.clip(place, 0.0, (self.size[scene] - 1)[*many, :])
         cell = np.minimum(inside.astype(int), (self.size[scene] - 2)[*many, :])
-        share, beyond = inside - cell, place - inside
+        share, off = inside - cell, place - inside
         x, y, scene = cell[..., 0], cell[..., 1], scene[many]
         mixed, shortest, least, most = 0.0, np.inf, np.inf, 0.0
         for dx in (0, 1):
@@ -62,19 +69,42 @@ class Geodesics:
                 shortest = np.minimum(shortest, value + straight)
                 least, most = np.minimum(least, value), np.maximum(most, value)
         free = most - least < 1.5 * self.resolution  # a diagonal step is the longest between free cells
-        outside = np.sqrt(beyond[..., 0] * beyond[..., 0] + beyond[..., 1] * beyond[..., 1]) * self.resolution
-        return np.where(free, mixed, shortest) + outside
+        outside = np.sqrt(off[..., 0] * off[..., 0] + off[..., 1] * off[..., 1]) * self.resolution
+        return np.where(free, mixed, shortest) + outside + self.beyond[scene]
 
 
-def plan(scenes: Scenes, planner: Planner) -> Geodesics:
-    """The distances to the robot's goal in every scene, around its squares."""
-    blocks = [_plan_block(scenes.take(slice(e, e + BLOCK)), planner) for e in range(0, len(scenes), BLOCK)]
-    rows, columns = (max(grid.shape[axis] for grid, _, _ in blocks) for axis in (1, 2))
-    values = np.full((len(scenes), rows, columns), np.inf, dtype=np.float32)
-    for k, (grid, _, _) in enumerate(blocks):
-        values[k * BLOCK : k * BLOCK + len(grid), : grid.shape[1], : grid.shape[2]] = grid
-    corner, size = (np.concatenate([block[part] for block in blocks]) for part in (1, 2))
-    return Geodesics(values, corner, size, planner.resolution)
+def plan(scenes: Scenes, planner: Planner, reach: np.ndarray | None = None) -> Geodesics:
+    """The distances to the robot's goal in every scene, around its squares.
+
+    `reach` (E,) is how far the robot can go, in m; by default, as far as its goal. Raises ConfigError where the grids
+    would be too large.
+    """
+    robot, goal = scenes.start[:, 0], scenes.goal[:, 0]
+    way = length(goal - robot)
+    reach = np.maximum(REACH, way if reach is None else reach)
+    far = way > reach
+    goal = np.where(far[:, None], robot + (goal - robot) * (reach / np.where(far, way, 1.0))[:, None], goal)
+    apart = np.abs(scenes.start - robot[:, None]).max(-1)
+    square = scenes.square & (apart - scenes.radius <= reach[:, None])
+    places = np.where(square[..., None], scenes.start, np.nan)
+    places[:, 0] = robot
+    places = np.concatenate((places, goal[:, None]), axis=1)
+    corner = np.floor((np.nanmin(places, axis=1) - MARGIN) / planner.resolution) * planner.resolution
+    size = np.ceil((np.nanmax(places, axis=1) + MARGIN - corner) / planner.resolution) + 1
+    columns, rows = size.max(axis=0, initial=0)
+    if max(columns, rows) > MOST_ACROSS or len(scenes) * rows * columns > MOST_CELLS:
+        raise ConfigError(
+            f"ways around squares take {len(scenes)} grids of {columns:.0f} x {rows:.0f} cells, too many; choose "
+            "nearer goals, a shorter time limit, a coarser resolution or fewer episodes, or play without recovery"
+        )
+    size = size.astype(int)
+    values = np.full((len(scenes), int(rows), int(columns)), np.inf, dtype=np.float32)
+    block = max(1, min(BLOCK, AT_ONCE // max(1, values[:1].size)))
+    for e in range(0, len(scenes), block):
+        part = slice(e, e + block)
+        grid = _distances(scenes.take(part), goal[part], square[part], corner[part], size[part], planner)
+        values[part, : grid.shape[1], : grid.shape[2]] = grid
+    return Geodesics(values, corner, size, np.where(far, way - reach, 0.0), planner.resolution)
 
 
 def solvable(scenes: Scenes, planner: Planner = Planner()) -> np.ndarray:
@@ -84,14 +114,11 @@ def solvable(scenes: Scenes, planner: Planner = Planner()) -> np.ndarray:
     return plan(scenes, planner).at(np.arange(len(scenes)), scenes.start[:, 0]) < UNREACHABLE
 
 
-def _plan_block(scenes: Scenes, planner: Planner) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distances (E, Y, X), corners (E, 2) and sizes (E, 2) of a few scenes' grids."""
-    robot, square = scenes.radius[:, :1], scenes.square
-    places = np.where(square[..., None], scenes.start, np.nan)
-    places[:, 0] = scenes.start[:, 0]
-    places = np.concatenate((places, scenes.goal[:, :1]), axis=1)
-    corner = np.floor((np.nanmin(places, axis=1) - MARGIN) / planner.resolution) * planner.resolution
-    size = np.ceil((np.nanmax(places, axis=1) + MARGIN - corner) / planner.resolution).astype(int) + 1
+def _distances(
+    scenes: Scenes, goal: np.ndarray, square: np.ndarray, corner: np.ndarray, size: np.ndarray, planner: Planner
+) -> np.ndarray:
+    """Distances (E, Y, X) to goals (E, 2) around squares (E, N), on grids as in `Geodesics`, of a few scenes."""
+    robot = scenes.radius[:, :1]
     columns, rows = size.max(axis=0)
     x = corner[:, 0] + planner.resolution * np.arange(columns)[:, None]  # (X, E)
     y = corner[:, 1] + planner.resolution * np.arange(rows)[:, None]  # (Y, E)
@@ -107,10 +134,10 @@ def _plan_block(scenes: Scenes, planner: Planner) -> tuple[np.ndarray, np.ndarra
     cost = np.where(beyond, np.inf, planner.resolution * cost).astype(np.float32)
     far = np.full_like(cost, np.inf)
     episode = np.arange(len(scenes))
-    goal = (scenes.goal[:, 0] - corner) / planner.resolution
+    goal = (goal - corner) / planner.resolution
     for cell in (goal.astype(int) + np.array(shift) for shift in ((0, 0), (0, 1), (1, 0), (1, 1))):
         far[cell[:, 1], episode, cell[:, 0]] = planner.resolution * np.sqrt(((cell - goal) ** 2).sum(1))
-    return np.ascontiguousarray(_shortest(far, cost).transpose(1, 0, 2)), corner, size
+    return _shortest(far, cost).transpose(1, 0, 2)
 
 
 def _shortest(far: np.ndarray, cost: np.ndarray) -> np.ndarray:

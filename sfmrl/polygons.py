@@ -1,16 +1,16 @@
-"""Standing polygons as edges, prepared once for a scene.
+"""Standing polygons as edges, prepared once for a scene, and the origin from which ORCA's coordinates are taken.
 
 What an agent must know of an edge does not change while the scene plays: where it runs, in which direction the outline
 goes on at either end, and whether it turns outwards there. `polygon_edges` computes it; `orca_polygons.py` reads it.
 Left out: polygons that move, and outlines that cross themselves.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 FIELDS = 15
+SPACING = 64.0  # m between possible origins; a power of two, so that subtracting one does not round
 
 
 @dataclass(frozen=True)
@@ -20,44 +20,57 @@ class Edges:
     The first ten rows come in pairs, for an edge's start and end: x; y (m); x; y of the unit direction in which the
     outline goes on from there, away from this edge; whether the corner is convex (1 or 0). Then follow the edge's own
     unit direction x, y; the way x, y (m) from its start to its end, and the negative square of its length. Seen from
-    outside, an edge starts at the left.
+    outside, an edge starts at the left. Places are relative to the episode's `origin`, float64 (E, 2) in m.
     """
 
     values: np.ndarray
+    origin: np.ndarray
 
     def __len__(self) -> int:
         return self.values.shape[2]
 
     def take(self, rows: np.ndarray) -> "Edges":
         """The edges of some of the episodes: an index array, a mask or a slice."""
-        return Edges(self.values.take(np.arange(len(self))[rows], axis=2))
+        return Edges(self.values.take(np.arange(len(self))[rows], axis=2), self.origin[rows])
 
     def none(self) -> "Edges":
         """The same episodes without an edge."""
-        return Edges(self.values[:, :0])
-
-    @staticmethod
-    def concatenate(parts: Sequence["Edges"]) -> "Edges":
-        """The episodes of all parts, one after the other."""
-        most = max(part.values.shape[1] for part in parts)
-        values = np.full((FIELDS, most, sum(map(len, parts))), np.nan, np.float32)
-        first = 0
-        for part in parts:
-            values[:, : part.values.shape[1], first : first + len(part)] = part.values
-            first += len(part)
-        return Edges(values)
+        return Edges(self.values[:, :0], self.origin)
 
 
-def polygon_edges(polygons: np.ndarray) -> Edges:
+def _origin_among(points: np.ndarray) -> np.ndarray:
+    """Return the median of points (E, n, 2) in m, rounded to a multiple of 64 m, (E, 2); absent points are NaN.
+
+    float32 has 7 digits, too few to tell people apart in map coordinates. Scenes near (0, 0) have it as their origin.
+    """
+    if not points.shape[1]:
+        return np.zeros((len(points), 2))
+    ordered = np.sort(points, axis=1)  # absent ones last
+    middle = np.maximum((~np.isnan(ordered)).sum(axis=1, keepdims=True) - 1, 0) // 2
+    origin = np.round(np.take_along_axis(ordered, middle, axis=1)[:, 0] / SPACING) * SPACING
+    return np.nan_to_num(origin) + 0.0  # no -0, which would change the sign of a 0 when it is subtracted
+
+
+def polygon_edges(polygons: np.ndarray, position: np.ndarray) -> Edges:
     """Return the edges of solid polygons (E, P, V, 2) in m, given counter-clockwise; absent vertices are NaN.
 
-    Absent vertices come last in their polygon; two vertices make a wall. Raises ValueError for other shapes, for a
-    polygon that is clockwise, and for one with a single vertex or with two equal vertices in a row.
+    Absent vertices come last in their polygon; two vertices make a wall. `position` (E, N, 2) in m is where the agents
+    are who will see them, or where they start. Raises ValueError for other shapes, for vertices that are not finite,
+    for a polygon that is clockwise, and for one with a single vertex or with two equal vertices in a row.
     """
-    polygons = np.asarray(polygons, np.float32)
+    polygons = np.asarray(polygons, dtype=float)
     if polygons.ndim != 4 or polygons.shape[3] != 2:
         raise ValueError(f"polygons must have shape (E, P, V, 2), not {polygons.shape}")
+    if len(polygons) != len(position):
+        raise ValueError(f"polygons must belong to {len(position)} episodes, not to {len(polygons)}")
+    if not polygons.shape[2]:
+        polygons = np.empty((len(polygons), 0, 1, 2))
+    origin = _origin_among(position)
     present = ~np.isnan(polygons).any(axis=3)
+    with np.errstate(over="ignore", invalid="ignore"):
+        polygons = (polygons - origin[:, None, None]).astype(np.float32)
+    if not np.isfinite(polygons[present]).all():
+        raise ValueError("polygons: vertices must be finite, or NaN where they are absent")
     if (present[:, :, 1:] & ~present[:, :, :-1]).any():
         raise ValueError("polygons: absent vertices (NaN) must come after a polygon's last vertex")
 
@@ -77,7 +90,7 @@ def polygon_edges(polygons: np.ndarray) -> Edges:
     edge = end - start
     minus_squared = -(edge[0] * edge[0] + edge[1] * edge[1])
     values[:, slot, episode] = [*ends, start_convex, end_convex, *own, *edge, minus_squared]
-    return Edges(values)
+    return Edges(values, origin)
 
 
 def _check_outlines(start, end, first, size, outline):

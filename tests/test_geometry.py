@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sfmrl.geometry import closest_approach, direction, length, limit
+from sfmrl.geometry import closest_approach, direction, length, limit, square_gap
 
 coordinate = st.floats(-20, 20, allow_nan=False)
 vector = st.tuples(coordinate, coordinate).map(np.array)
@@ -79,3 +79,17 @@ def test_one_row_of_a_batch_has_the_bits_it_has_alone():
     together = closest_approach(offset, velocity, 0.25)
     alone = np.stack([closest_approach(o, v, 0.25) for o, v in zip(offset, velocity, strict=True)])
     np.testing.assert_array_equal(together, alone)
+
+
+@given(vector, st.floats(0.1, 5))
+def test_the_gap_to_a_square_is_the_distance_to_the_nearest_of_many_points_on_its_outline(offset, half):
+    gap, away = square_gap(offset, np.array(half))
+    share = np.linspace(-half, half, 2001)
+    side = np.full_like(share, half)
+    outline = np.concatenate([np.stack(p, -1) for p in ((share, side), (share, -side), (side, share), (-side, share))])
+    nearest = np.hypot(*(offset - outline).T).min()
+    assert abs(gap) == pytest.approx(nearest, abs=half / 500)
+    assert (gap <= 0) == (np.abs(offset) <= half).all()
+    np.testing.assert_allclose(length(away), 1.0)
+    # A step straight away from the outline makes the gap longer by as much.
+    assert square_gap(offset + 0.01 * away, np.array(half))[0] == pytest.approx(gap + 0.01)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sfmrl.linear_programs import least_violations, nearest_velocities, violations
-from sfmrl.orca import Edges, orca_velocities, polygon_edges
+from sfmrl.orca import orca_velocities, polygon_edges
 from sfmrl.vectors import limit_speed
 
 REFERENCE = np.load(Path(__file__).parent / "data" / "orca_velocities.npz")
@@ -218,7 +218,7 @@ def test_limit_speed():
 def walk(start, goal, polygons=None, seconds=20.0, radius=0.3):
     """Positions (T, N, 2) of agents who walk from `start` to `goal`, 1 m/s at most."""
     positions, velocity = [np.asarray(start, float)], np.zeros((1, *np.shape(start)))
-    edges = None if polygons is None else polygon_edges(polygons[None])
+    edges = None if polygons is None else polygon_edges(polygons[None], positions[-1][None])
     for _ in range(int(seconds / 0.25)):
         way = np.asarray(goal) - positions[-1]
         preferred = way / np.maximum(1, np.linalg.norm(way, axis=-1, keepdims=True))
@@ -305,17 +305,32 @@ def test_only_the_asked_for_agents_are_computed_but_all_are_avoided():
     np.testing.assert_array_equal(orca_velocities(*scenes.values(), agents=robot)[:, 0], together[:, 0])
 
 
-def test_prepared_edges_can_be_taken_and_concatenated():
+def test_prepared_edges_can_be_taken():
     scenes = mixed_scenes()
     together = orca_velocities(*scenes.values())
-    edges = polygon_edges(scenes["polygons"])
+    edges = polygon_edges(scenes["polygons"], scenes["position"])
     rows = np.array([70, 3, 3, 99])
     some = take(scenes, rows) | {"polygons": edges.take(rows)}
     np.testing.assert_array_equal(orca_velocities(*some.values()), together[rows])
-    parts = [polygon_edges(scenes["polygons"][:40, :2]), edges.take(slice(40, 50)), edges.take(np.arange(120) >= 50)]
-    whole = scenes | {"polygons": Edges.concatenate(parts)}
-    assert len(whole["polygons"]) == 120
-    np.testing.assert_array_equal(orca_velocities(*whole.values())[40:], together[40:])
+    for rows in (slice(40, 50), np.arange(120) >= 50):
+        some = {name: value[rows] for name, value in scenes.items()} | {"polygons": edges.take(rows)}
+        np.testing.assert_array_equal(orca_velocities(*some.values()), together[rows])
+
+
+@pytest.mark.parametrize(
+    ("shift", "off"),
+    [((0.0, 0.0), 0), ((64e4, -64.0), 0), ((1e6, 1e6), 0), ((1e4, -1e4), 1e-4), ((5e5 + 1 / 3, 4.6e6), 1e-4)],
+)
+def test_velocities_are_the_same_wherever_a_scene_stands(shift, off):
+    """To the bit where all is moved by a multiple of 64 m, else to what float32 tells apart within 32 m."""
+    scenes = mixed_scenes()
+    for name in ("position", "polygons"):
+        scenes[name] = np.round(scenes[name] * 2**24) / 2**24  # which float64 can move without rounding
+    there = scenes | {name: scenes[name] + shift for name in ("position", "polygons")}
+    here, found = orca_velocities(*scenes.values()), orca_velocities(*there.values())
+    assert np.nanquantile(np.abs(found - here), 1.0 if off == 0 else 0.99) <= off
+    prepared = there | {"polygons": polygon_edges(there["polygons"], there["position"])}
+    np.testing.assert_array_equal(orca_velocities(*prepared.values()), found)
 
 
 @pytest.mark.parametrize("shape", [(0, 3), (4, 0), (4, 1), (4, 3)])
@@ -330,6 +345,13 @@ def test_nobody_there_alone_and_no_polygon(shape):
         assert found.dtype == np.float64
         np.testing.assert_array_equal(np.isnan(found), np.isnan(position))
         np.testing.assert_allclose(found[~np.isnan(found)], np.sqrt(0.5), rtol=1e-6)
+
+
+def test_lists_and_polygons_without_vertices_do():
+    position, still, wish = [[[0, 0], [2, 0]]], [[[0, 0], [0, 0]]], [[[1, 0], [-1, 0]]]
+    expected = orca_velocities(np.array(position, float), np.array(still, float), np.array(wish, float), 0.3, 1.0)
+    np.testing.assert_array_equal(orca_velocities(position, still, wish, [0.3, 0.3], 1), expected)
+    np.testing.assert_array_equal(orca_velocities(position, still, wish, 0.3, 1, np.empty((1, 2, 0, 2))), expected)
 
 
 def test_float32_input_gives_the_same_bits():
@@ -354,6 +376,20 @@ def test_float32_input_gives_the_same_bits():
         ({"polygons": np.tile(UNIT_SQUARE[[0, 1, 1, 2]], (2, 1, 1, 1))}, "polygons: two equal vertices in a row"),
         ({"polygons": np.tile(UNIT_SQUARE[[0, 1, 2, 0]], (2, 1, 1, 1))}, "polygons: two equal vertices in a row"),
         ({"polygons": np.array([np.nan, 1, 1, 1])[:, None] * np.ones((2, 1, 4, 2))}, "polygons: absent vertices"),
+        ({"polygons": np.full((2, 1, 4, 2), np.inf)}, "polygons: vertices must be finite"),
+        ({"position": np.full((2, 3, 2), np.inf)}, "position must be finite for everybody whose position is not NaN"),
+        ({"velocity": np.full((2, 3, 2), np.nan)}, "velocity must be finite"),
+        ({"preferred_velocity": np.full((2, 3, 2), -np.inf)}, "preferred_velocity must be finite"),
+        ({"radius": -0.1}, "radius must be finite and not below 0"),
+        ({"max_speed": np.inf}, "max_speed must be finite"),
+        ({"max_speed": "fast"}, "max_speed must be a number"),
+        ({"velocity": [[1, 2], [3]]}, "velocity must be a number or an array of numbers"),
+        ({"max_neighbors": 2.5}, "max_neighbors is 2.5; it must be a whole number, 0 or more"),
+        ({"max_neighbors": -1}, "max_neighbors is -1"),
+        ({"time_step": 0.0}, "time_step is 0.0; it must be a finite number above 0"),
+        ({"time_horizon": np.nan}, "time_horizon is nan"),
+        ({"obstacle_time_horizon": [1, 2]}, "obstacle_time_horizon is"),
+        ({"neighbor_distance": -1}, "neighbor_distance is -1; it must be a finite number, 0 or more"),
     ],
 )
 def test_bad_input_is_named_in_one_line(change, message):

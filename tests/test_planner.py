@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 
 from sfmrl import planner as planner_module
-from sfmrl.config import Planner
+from sfmrl.config import ConfigError, Planner, Simulation
+from sfmrl.crowd import reset
+from sfmrl.episodes import play
 from sfmrl.planner import plan, solvable
+from sfmrl.policies import orca_policy
+from sfmrl.recovery import RecoveringPolicy
 from sfmrl.scenarios import Scenes, sample_scenes
 
 
@@ -114,3 +118,33 @@ def test_a_closed_room_is_named_unsolvable_and_the_twenty_layouts_are_not():
 def test_places_inside_squares_have_finite_distances_that_fall_outwards():
     middle, edge, out = distances(among_squares((0, 0)), [(0.0, 0.0), (0.4, 0.0), (0.9, 0.0)])
     assert middle > edge > out > 3.9
+
+
+def test_of_a_scene_far_out_the_grid_stays_small_and_what_is_within_reach_counts():
+    near = among_squares((0, 0), (0.6, 0))
+    far = among_squares((0, 0), (0.6, 0), (0.0, 1e6))
+    places = np.random.default_rng(0).uniform(-4, 4, (50, 2))
+    np.testing.assert_array_equal(distances(far, places), distances(near, places))
+    # To a goal 1e6 m away, the way around the squares, and then the rest of it.
+    scenes = among_squares((0, 0), (0.6, 0), goal=(0.0, 1e6))
+    grid = plan(scenes, Planner(), reach=np.array([25.0]))
+    assert grid.values.size < 1e6
+    left = grid.at(np.zeros(1, dtype=int), np.array([[(0.0, -4.0), (0.0, 4.0), (0.0, 5.0)]]))[0]
+    assert left[1] == pytest.approx(1e6 - 4, abs=0.1)
+    assert left[1] - left[2] == pytest.approx(1.0, abs=0.1)
+    assert left[0] > left[1] + 8.2
+
+
+def test_a_grid_of_too_many_cells_is_one_clear_error():
+    scenes = among_squares((0, 0), goal=(1e6, 1e6))
+    with pytest.raises(ConfigError, match=r"cells, too many; choose nearer goals, .* or play without recovery"):
+        plan(scenes, Planner())
+    with pytest.raises(ConfigError, match="too many"):
+        reset(scenes, Simulation(time_limit=3600), Planner())
+
+
+def test_an_episode_ends_that_recovery_helps_on_its_way_to_a_goal_far_out():
+    scenes = among_squares((-0.6, 0), (0, 0), (0.6, 0), goal=(0.0, 1e6))
+    record = play(scenes, RecoveringPolicy(orca_policy, Planner(recover=True)))
+    assert list(record.outcome) == ["timeout"]
+    assert record.position[0, -1, 0, 1] > 10  # past the squares
