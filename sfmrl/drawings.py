@@ -7,7 +7,7 @@ import numpy as np
 from sfmrl.config import ConfigError, Planner
 from sfmrl.files import read_regular
 from sfmrl.layouts import DRAWN
-from sfmrl.maps import CELL, GOALS, PEOPLE, Drawing, parse
+from sfmrl.maps import CELL, GOALS, MOST_PLACES, PEOPLE, Drawing, parse
 from sfmrl.planner import UNREACHABLE, plan
 from sfmrl.scenarios import Scenes
 
@@ -56,6 +56,8 @@ def draw_map(scenes: Scenes, episode: int = 0) -> str:
     fits = [np.floor(points + 0.5), np.floor(points) + 0.5]
     places = np.where(np.abs(fits[0] - points).sum(0) <= np.abs(fits[1] - points).sum(0), *fits)
     columns, rows = (2 * np.abs(places).max(0) + 1).astype(int)
+    if max(rows, columns) > MOST_PLACES:
+        raise ConfigError(f"a map is at most {MOST_PLACES} places wide and high, not {columns} and {rows}")
     drawn = np.full((rows, columns), ".")
     for k, (character, (x, y)) in enumerate(zip(characters, places, strict=True)):
         if character in GOALS and (places[k] == -places[2 + GOALS.index(character)]).all():

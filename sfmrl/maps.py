@@ -72,13 +72,13 @@ def parse(text: str, name: str = "map", whole: bool = True) -> Drawing:
 
 
 def _lines(text: str) -> list[tuple[int, int, str]]:
-    """The drawing's lines: number in the text, columns before the drawing, and characters as `_MEANT`."""
+    """The drawing's lines: number in the text, columns before the drawing, and characters."""
     lines = [(number, line.rstrip()) for number, line in enumerate(text.split("\n"), start=1)]
     lines = [(number, line) for number, line in lines if not line.lstrip().startswith(";")]
     drawn = [k for k, (_, line) in enumerate(lines) if line]
     lines = lines[drawn[0] : drawn[-1] + 1] if drawn else []
     before = min((len(line) - len(line.lstrip(" ")) for _, line in lines if line), default=0)
-    return [(number, before, line[before:].translate(_MEANT)) for number, line in lines]
+    return [(number, before, line[before:]) for number, line in lines]
 
 
 def _places(
@@ -87,14 +87,16 @@ def _places(
     """Squares (S, 2) and, by character, all else (2,), in m; and where in the text the latter are written."""
     squares, marks, where = [], {}, {}
     for row, (number, before, line) in enumerate(lines):
-        for column, character in enumerate(line):
+        for column, written in enumerate(line):
+            character = written.translate(_MEANT)
             at = f"{name}, line {number}, column {before + column + 1}"
             place = CELL * np.array((column - (columns - 1) / 2, (rows - 1) / 2 - row))
             if character == "#":
                 squares.append(place)
             elif character in marks:
                 first = where[character].removeprefix(f"{name}, ")
-                raise ConfigError(f"{at}: this is a second {character}; the first is in {first}")
+                wall = "; @ is the robot, as in replays: draw walls as #" if written == "@" else ""
+                raise ConfigError(f"{at}: this is a second {character}; the first is in {first}{wall}")
             elif character in f"RG{PEOPLE}{GOALS}":
                 marks[character], where[character] = place, at
             elif character != ".":

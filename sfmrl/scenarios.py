@@ -9,10 +9,12 @@ its outline as a polygon.
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from numbers import Integral, Real
 
 import numpy as np
 
 from sfmrl.config import ConfigError, suggest
+from sfmrl.geometry import vectors
 from sfmrl.layouts import DRAWN, LAYOUTS, MAPS, drawing_of
 from sfmrl.placement import CIRCLE, RADIUS, V_PREF, Builder, people_on_circle
 from sfmrl.variants import MIXES
@@ -49,7 +51,7 @@ class Scenes:
     episode: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        start, goal = np.array(self.start, dtype=float), np.array(self.goal, dtype=float)
+        start, goal = vectors("start", self.start).copy(), vectors("goal", self.goal).copy()
         if start.ndim != 3 or start.shape[-1] != 2 or start.shape[1] < 1:
             raise ValueError(f"start has shape {start.shape}; it must be (episodes, agents, 2), row 0 the robot")
         if goal.shape != start.shape:
@@ -66,8 +68,8 @@ class Scenes:
             value = np.arange(episodes) if getattr(self, name) is None else getattr(self, name)
             try:
                 made[name] = np.broadcast_to(np.asarray(value, dtype=kind), shape).copy()
-            except ValueError:
-                raise ValueError(f"{name} has shape {np.shape(value)}; it must broadcast to {shape}") from None
+            except (TypeError, ValueError):
+                raise ValueError(f"{name} must be of {kind.__name__} and broadcast to shape {shape}") from None
         if made["square"][:, 0].any():
             raise ValueError("square marks row 0, which is the robot")
         absent = np.isnan(start).any(-1)
@@ -145,7 +147,7 @@ def generator(seed: int, stream: str, *number: int) -> np.random.Generator:
 
 
 def sample_scenes(
-    environment: str,
+    environment: str | int,
     episodes: int | Sequence[int],
     seed: int = 0,
     *,
@@ -159,15 +161,21 @@ def sample_scenes(
     "map:R.#.G/..#.." (see `maps.py`), labelled "map"; `episodes` is how many, or the numbers of those wanted; `circle`
     is the radius (m) of the circle that people start on. With `people`, so many on the circle take the place of the
     environment's own. The result has a row for the robot and one for each element, people before squares. Raises
-    ConfigError on names it does not know.
+    ConfigError on names it does not know, and on numbers out of range.
     """
+    for name, value in (("seed", seed), ("people", 0 if people is None else people)):
+        if not isinstance(value, Integral) or value < 0:
+            raise ConfigError(f"{name} is {value!r}; it takes a whole number, 0 or more")
+    if not isinstance(circle, Real) or not 0 < circle < np.inf:
+        raise ConfigError(f"circle is {circle!r}; it takes a radius in m above 0")
+    environment = str(environment) if isinstance(environment, Integral) else environment
+    if not isinstance(environment, str):
+        raise ConfigError(f"environment is {environment!r}; it takes a name or a mix, as 2, table1 or 1:0.7,2:0.3")
     shares = parse_mix(environment)
     numbers = np.asarray(episodes)
     if not np.issubdtype(numbers.dtype, np.integer) or numbers.ndim > 1 or (numbers < 0).any():
         raise ConfigError(f"episodes is {episodes!r}; it takes how many, or their numbers, counted from 0")
     numbers = np.arange(numbers) if numbers.ndim == 0 else numbers
-    if seed < 0:
-        raise ConfigError(f"seed is {seed}; it may not be below 0")
     if phase not in PHASES:
         raise ConfigError(f"there is no phase {phase!r}; choose {', '.join(PHASES)}{suggest(phase, PHASES)}")
     rngs = [generator(seed, phase, number) for number in numbers]

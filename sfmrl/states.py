@@ -8,6 +8,7 @@ it belongs to robots that cannot move sideways, which are left out.
 import numpy as np
 
 from sfmrl.config import SocialForce
+from sfmrl.geometry import numbers, vectors
 from sfmrl.sfm import repulsive_forces, resultant
 
 OWN = ("goal_distance", "v_pref", "theta", "radius", "velocity_x", "velocity_y")
@@ -46,8 +47,19 @@ def robot_states(
 
     The robot's `position`, `velocity`, `goal` (..., 2), `radius`, `v_pref` (...); its elements' `element_position`,
     `element_velocity` (..., K, 2), `element_radius` (..., K); metres and m/s. Absent elements are NaN in, NaN out. With
-    nobody around (K = 0) there is one absent element, since the robot's own columns need a row to stand in.
+    nobody around (K = 0) there is one absent element, since the robot's own columns need a row to stand in. Raises
+    ValueError for other shapes.
     """
+    position, velocity, goal = vectors("position", position), vectors("velocity", velocity), vectors("goal", goal)
+    element_position = vectors("element_position", element_position)
+    element_velocity = vectors("element_velocity", element_velocity)
+    element_radius = numbers("element_radius", element_radius)
+    shapes = element_position.shape, element_velocity.shape, element_radius.shape
+    if not shapes[0][-2:-1] == shapes[1][-2:-1] == shapes[2][-1:] != ():
+        raise ValueError(
+            "element_position, element_velocity and element_radius must have shapes (..., K, 2), (..., K, 2) and "
+            f"(..., K) with the same K, not {shapes[0]}, {shapes[1]} and {shapes[2]}"
+        )
     if not element_radius.shape[-1]:
         nobody = np.full((*element_radius.shape[:-1], 1), np.nan)
         element_position = element_velocity = np.stack((nobody, nobody), axis=-1)

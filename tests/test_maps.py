@@ -168,7 +168,8 @@ def test_the_replays_glyphs_blanks_comments_and_indentation_draw_the_same(tmp_pa
         ("R.G\n..x", "m.txt, line 2, column 3: 'x' means nothing on a map"),
         ("; hi\n\n  R.G\n  .\x00", r"m.txt, line 4, column 4: '\x00' means nothing"),
         ("R\t.G", r"line 1, column 2: '\t' means nothing"),
-        ("R.G\n@", "m.txt, line 2, column 1: this is a second R; the first is in line 1, column 1"),
+        ("R.G\nR", "m.txt, line 2, column 1: this is a second R; the first is in line 1, column 1"),
+        ("@@@\n@R.G", "line 1, column 2: this is a second R; the first is in line 1, column 1; @ is the robot, as in"),
         ("R.G1\n..11", "line 2, column 3: this is a second 1; the first is in line 1, column 4"),
         ("R.1.", "m.txt has no G; draw one, the robot's goal"),
         ("G.1.", "m.txt has no R; draw one, the robot's start"),
@@ -221,6 +222,9 @@ def test_what_a_map_cannot_show_is_said():
     near = sample_scenes("map:R..G", 1)
     near.goal[0, 0] = near.start[0, 0] + 0.01
     with pytest.raises(ConfigError, match="R and G share one"):
+        draw_map(near)
+    near.goal[0, 0] = 1e6
+    with pytest.raises(ConfigError, match="at most 60 places wide"):
         draw_map(near)
 
 

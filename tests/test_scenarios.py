@@ -214,12 +214,22 @@ def test_phases_and_seeds_never_share_a_scene():
         (lambda: sample_scenes("1:nan", 1), "from 0 to 1"),
         (lambda: sample_scenes("1", 1, phase="tset"), "did you mean test"),
         (lambda: sample_scenes("1", [-1]), "counted from 0"),
+        (lambda: sample_scenes(["1"], 1), "environment is ['1']; it takes a name or a mix"),
+        (lambda: sample_scenes(6, 1), "there is no environment '6'"),
+        (lambda: sample_scenes("1", 1, seed=-1), "seed is -1; it takes a whole number, 0 or more"),
+        (lambda: sample_scenes("1", 1, people=-1), "people is -1; it takes a whole number, 0 or more"),
+        (lambda: sample_scenes("1", 1, people=2.5), "people is 2.5"),
+        (lambda: sample_scenes("1", 1, circle=np.nan), "circle is nan; it takes a radius in m above 0"),
         (lambda: sample_scenes("circle60", 1), "fewer people or a larger circle"),
     ],
 )
 def test_errors_name_the_remedy(call, remedy):
     with pytest.raises(ConfigError, match=re.escape(remedy)):
         call()
+
+
+def test_an_environment_s_number_is_its_name():
+    np.testing.assert_array_equal(sample_scenes(1, 3).start, sample_scenes("1", 3).start)
 
 
 def test_parse_mix_keeps_the_order_and_adds_up_repeats():
@@ -267,10 +277,15 @@ HOLE = np.where(np.arange(3)[None, :, None] == 1, np.nan, START)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"start": np.zeros((3, 2)), "goal": np.zeros((3, 2))}, "start has shape (3, 2)"),
+        ({"start": [(0, 0)] * 3, "goal": np.zeros((3, 2))}, "start has shape (3, 2)"),
         ({"start": np.zeros((2, 0, 2)), "goal": np.zeros((2, 0, 2))}, "start has shape (2, 0, 2)"),
         ({"start": START, "goal": GOAL[:1]}, "goal has shape (1, 3, 2); it must be that of start"),
-        ({"start": START, "goal": GOAL, "radius": np.ones((3, 2))}, "radius has shape (3, 2)"),
+        (
+            {"start": START, "goal": GOAL, "radius": np.ones((3, 2))},
+            "radius must be of float and broadcast",
+        ),
+        ({"start": START, "goal": GOAL, "v_pref": "fast"}, "v_pref must be of float"),
+        ({"start": "here", "goal": GOAL}, "start must be a number"),
         ({"start": START, "goal": GOAL, "radius": 0.0}, "radius must be above 0"),
         ({"start": START, "goal": GOAL, "v_pref": -1.0}, "v_pref not below 0"),
         ({"start": START, "goal": GOAL, "v_pref": np.nan}, "v_pref not below 0"),

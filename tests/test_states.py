@@ -139,6 +139,20 @@ def test_any_leading_axes_broadcast():
     np.testing.assert_array_equal(states[1, 3], one)
 
 
+def test_lists_do_and_wrong_shapes_are_named():
+    scene = random_scene(5)
+    as_lists = {name: value.tolist() for name, value in scene.items()}
+    np.testing.assert_array_equal(robot_states(**as_lists, forces=True), robot_states(**scene, forces=True))
+    for name, value, message in (
+        ("goal", 3.0, r"goal must have shape \(\.\.\., 2\), not \(\)"),
+        ("velocity", "fast", "velocity must be a number"),
+        ("element_radius", 0.3, r"\(\.\.\., K\) with the same K, not \(.*\) and \(\)"),
+        ("element_velocity", scene["element_velocity"][..., :1, :], "with the same K"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            robot_states(**scene | {name: value})
+
+
 @pytest.mark.parametrize("forces", [False, True])
 def test_nobody_around_is_one_absent_element(forces):
     scene = random_scene(4, elements=0)
