@@ -268,10 +268,10 @@ def override(config: Any, changes: Mapping[str, Any]) -> Any:
     return replace(config, **values)
 
 
-# The crowd's own social forces, for `--crowd sfm`: Helbing and Molnar's 2.1 m^2/s^2 over 0.3 m, from contact of two
-# discs of 0.3 m, and a relaxation time of 0.5 s. The paper's (1, 1, 0) describes the robot's surroundings; as a crowd
-# model it would let people walk through each other.
-CROWD_FORCE = SocialForce(a=7.0, b=0.3, d=0.6, k=2.0)
+# The crowd's own social forces, for `--crowd sfm`: Helbing and Molnar's 2.1 m^2/s^2 over 0.3 m, from surface to
+# surface, and a relaxation time of 0.5 s. The paper's (1, 1, 0) describes the robot's surroundings, from centre to
+# centre; as a crowd model it would let people walk through each other.
+CROWD_FORCE = SocialForce(a=7.0, b=0.3, d=0.0, k=2.0)
 
 # What `help(sfmrl.Reward)` and the like show: every knob with its help text.
 for _settings in (SocialForce, Simulation, Reward, Planner, Imitation, Reinforcement, Config):

@@ -152,6 +152,8 @@ def sfm_crowd(world: World, position: np.ndarray) -> np.ndarray:
         world.v_pref,
         force=CROWD_FORCE,
         time_step=world.simulation.time_step,
+        radius=world.radius,
+        square=world.square,
     )
 
 

@@ -5,14 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from sfmrl.config import CROWD_FORCE, ConfigError, suggest
-from sfmrl.crowd import World, orca_crowd
+from sfmrl.config import ConfigError, suggest
+from sfmrl.crowd import World, orca_crowd, sfm_crowd
 from sfmrl.folders import WEIGHTS
 from sfmrl.lookahead import Policy, SarlPolicy, available_cores
 from sfmrl.models import model_names, model_weights
 from sfmrl.own_code import kind, trusted
 from sfmrl.recovery import with_recovery
-from sfmrl.sfm import sfm_velocities
 
 
 def linear_policy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
@@ -32,14 +31,7 @@ def orca_policy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
 
 def sfm_policy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
     """The Social Force Model with the crowd's parameters, (E, 2) m/s."""
-    return sfm_velocities(
-        world.position,
-        world.velocity,
-        world.preferred_velocity,
-        world.v_pref,
-        force=CROWD_FORCE,
-        time_step=world.simulation.time_step,
-    )[:, 0]
+    return sfm_crowd(world, world.position)[:, 0]
 
 
 CROWDNAV = "rl_model.pth"  # in the output folder of CrowdNav's training

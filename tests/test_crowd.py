@@ -13,6 +13,7 @@ from sfmrl.actions import ACTIONS
 from sfmrl.config import Reward, Simulation
 from sfmrl.crowd import World, advance, crowd_velocities, reset, transition
 from sfmrl.episodes import Record, play, play_episodes
+from sfmrl.geometry import length
 from sfmrl.policies import orca_policy
 from sfmrl.rewards import COLLISION, OUTCOMES, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenarios import Scenes, sample_scenes
@@ -188,6 +189,24 @@ def test_two_people_and_a_robot_head_on_pass_without_touching():
 def test_nobody_runs_faster_than_preferred():
     record = play(sample_scenes("table2", 8), "orca")
     assert np.nanmax(np.hypot(*np.moveaxis(record.velocity, -1, 0))) <= 1 + 1e-5
+
+
+@pytest.mark.parametrize("crowd", ["orca", "sfm"])
+@pytest.mark.parametrize("shift", [(64e4, -128e4), (4e6, 5e5)])
+def test_an_episode_goes_the_same_way_wherever_it_takes_place(crowd, shift):
+    scenes = sample_scenes("2:0.5,circle:0.5", 6)
+    start, goal = (np.round(places * 2**20) / 2**20 for places in (scenes.start, scenes.goal))
+    here = play(Scenes(start, goal, square=scenes.square), "orca", crowd=crowd)
+    there = play(Scenes(start + shift, goal + shift, square=scenes.square), "orca", crowd=crowd)
+    np.testing.assert_array_equal(here.steps, there.steps)
+    np.testing.assert_allclose(there.position[:, :20] - shift, here.position[:, :20], atol=1e-3)
+
+
+def test_people_of_other_sizes_do_not_touch_by_the_social_force_model():
+    scenes = Scenes([[(20, 0), (0, -4), (0.1, 4)]], [[(-20, 0), (0, 4), (0.1, -4)]], radius=[0.3, 0.8, 0.5])
+    record = play(scenes, "linear", crowd="sfm", robot_visible=False)
+    people = record.position[0, :, 1:]
+    assert length(people[:, 0] - people[:, 1]).min() > 1.3
 
 
 def test_a_scene_with_nobody_in_it():
