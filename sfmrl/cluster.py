@@ -95,11 +95,25 @@ def pack(folder: Path) -> bytes:
 
 def unpack(data: bytes, folder: Path) -> None:
     """Put the files of an archive in place of a folder, whole or not at all."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as place:
-        new = Path(place) / "new"
-        with tarfile.open(fileobj=io.BytesIO(data)) as archive:
-            archive.extractall(new, filter="data")
-        if folder.exists():
-            shutil.move(folder, Path(place) / "old")
+    put_right(folder)
+    new, old = _beside(folder)
+    with tarfile.open(fileobj=io.BytesIO(data)) as archive:
+        archive.extractall(new, filter="data")
+    if folder.exists():
+        folder.rename(old)
+    new.rename(folder)
+    put_right(folder)
+
+
+def put_right(folder: Path) -> None:
+    """End an `unpack` of the folder that was killed: bring the new one in place of the old one, if it is whole."""
+    new, old = _beside(folder)
+    if old.exists() and not folder.exists():  # it was killed between its two renames
         new.rename(folder)
+    for left in (new, old):
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def _beside(folder: Path) -> tuple[Path, Path]:
+    """Where the folder's new files, and the old ones, are while it is replaced."""
+    return folder.with_name(f".{folder.name}.new.tmp"), folder.with_name(f".{folder.name}.old.tmp")

@@ -117,15 +117,16 @@ def _known(preset: str) -> None:
 def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:
     """Run what is not finished yet; exits with 130 where it was interrupted, with 1 where some failed."""
     from sfmrl.campaign import Failed, run_jobs
+    from sfmrl.cluster import put_right, run_on_ray
     from sfmrl.lookahead import available_cores
     from sfmrl.progress import show_progress
     from sfmrl.stopping import Interrupted, StopSignal
 
     with StopSignal(say) as stop:
         try:
+            for job in trainings:
+                put_right(job.folder)
             if on == "ray":
-                from sfmrl.cluster import run_on_ray
-
                 run_on_ray(trainings, show_progress(err), stop, say)
             else:
                 run_jobs(trainings, side_by_side or available_cores(), show_progress(err), stop, say)
