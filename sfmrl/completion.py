@@ -1,8 +1,9 @@
 """What the shell completes: names of policies, environments, rewards and runs, without importing NumPy or torch."""
 
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
-from sfmrl.folders import KINDS, finished, run_folders
+from sfmrl.folders import KINDS, finished, in_training, run_folders
 from sfmrl.variants import MIXES, VARIANTS
 
 ENVIRONMENTS = ("1", "2", "3", "4", "5", "circle", "circle5", "maps", *MIXES)
@@ -33,8 +34,8 @@ def runs(incomplete: str) -> list[str]:
 
 
 def unfinished_runs(incomplete: str) -> list[str]:
-    """Those that can be gone on with."""
-    return _fitting(_runs(*KINDS, ended=False), incomplete)
+    """Those that can be gone on with: no process is training them now."""
+    return _fitting([folder for folder in _runs(*KINDS, ended=False) if not in_training(Path(folder))], incomplete)
 
 
 def imitation_runs(incomplete: str) -> list[str]:

@@ -16,7 +16,7 @@ from pathlib import Path
 from rich.console import Console
 
 from sfmrl import __version__
-from sfmrl.folders import RUNS, finished, kind_of, run_folders
+from sfmrl.folders import RUNS, finished, in_training, kind_of, run_folders
 
 LEAST_PYTHON = (3, 11)
 SPACE = 1.0  # GB that should be free: a run's checkpoints take 0.1
@@ -144,5 +144,7 @@ def _runs() -> Iterator[Check]:
         of_kind = [folder for folder in folders if kind_of(folder) == kind]
         ended = sum(map(finished, of_kind))
         if of_kind:
-            words.append(f"{len(of_kind)} of sfmrl {kind}, {ended} of them finished")
+            now = sum(map(in_training, of_kind))
+            training = f", {now} being trained now" if now else ""
+            words.append(f"{len(of_kind)} of sfmrl {kind}, {ended} of them finished{training}")
     yield Check("trained", None, "; ".join(words))

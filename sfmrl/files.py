@@ -8,61 +8,96 @@ import hashlib
 import io
 import json
 import os
-from collections.abc import Callable
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 SUMS = "SHA256SUMS"
+TEMPORARY = re.compile(r"\.(.+)\.\d+\.tmp")  # .NAME.PROCESS.tmp, what is to become the file NAME
 
 
 class DamagedFile(Exception):
     """A file that is not what was written; its text names the file and the remedy."""
 
 
-def write_atomically(path: Path, write: Callable[[BinaryIO], None], *, checked: bool = True) -> str:
+def write_atomically(path: Path, data: bytes, *, checked: bool = True) -> str:
     """Write a file so that its name only ever stands for a whole one; returns its SHA-256.
 
-    Temporary file in the same folder, fsync, rename. With `checked` its digest enters the folder's SHA256SUMS first:
-    a crash in between leaves a digest without a file, never a file without a digest.
+    With `checked` its digest enters the folder's SHA256SUMS. Raises OSError, naming `path`, and leaves the old file.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    write_together(path.parent, {path.name: data}, checked=checked)
+    return _digest(data)
+
+
+def write_together(folder: Path, files: dict[str, bytes], beside: Iterable[str] = (), *, checked: bool = True) -> None:
+    """Write files of one folder by name, in their order: temporary file, fsync, rename.
+
+    With `checked` their digests, and those of the files `beside` that are there already, enter SHA256SUMS in one step
+    before the first rename: a crash in between leaves a digest without its file, never a file without its digest.
+    """
+    temporary = {name: folder / f".{name}.{os.getpid()}.tmp" for name in files}
     try:
-        with open(temporary, "w+b") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-            file.seek(0)
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        for name, data in files.items():
+            with _naming(folder / name), open(temporary[name], "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
         if checked:
-            _write_sums(path.parent, read_sums(path.parent) | {path.name: digest})
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    _sync_folder(path.parent)
-    return digest
+            sums = {name: digest_of(folder / name) for name in beside}
+            _write_sums(folder, read_sums(folder) | sums | {name: _digest(data) for name, data in files.items()})
+        for name in files:
+            with _naming(folder / name):
+                os.replace(temporary[name], folder / name)
+    except BaseException:
+        for path in temporary.values():
+            path.unlink(missing_ok=True)
+        raise
+    _sync_folder(folder)
+
+
+def append(path: Path, data: bytes) -> None:
+    """Add bytes at the end of a file; raises OSError, naming it."""
+    with _naming(path), open(path, "ab") as file:
+        file.write(data)
 
 
 def remove_checked(paths: list[Path]) -> None:
-    """Remove files of one folder, and their digests."""
+    """Remove files of one folder, and their digests before them: a crash in between leaves files that nobody misses."""
+    if paths:
+        unlist({path.name for path in paths}, paths[0].parent)
     for path in paths:
         path.unlink(missing_ok=True)
-    if paths:
-        gone = {path.name for path in paths}
-        sums = read_sums(paths[0].parent)
-        _write_sums(paths[0].parent, {name: digest for name, digest in sums.items() if name not in gone})
+
+
+def unlist(names: set[str], folder: Path) -> None:
+    """Remove files' digests from a folder's SHA256SUMS."""
+    sums = read_sums(folder)
+    if names & set(sums):
+        _write_sums(folder, {name: digest for name, digest in sums.items() if name not in names})
 
 
 def read_checked(path: Path) -> bytes:
     """A file's bytes, held to its folder's SHA256SUMS; raises DamagedFile where they differ or no digest is known."""
     path = Path(path)
-    expected = read_sums(path.parent).get(path.name)
-    if expected is None:
+    if path.name not in read_sums(path.parent):
         raise DamagedFile(
             f"{path} has no SHA-256 in {path.with_name(SUMS)}, so it cannot be trusted; put back the whole folder"
         )
+    return read_listed(path)
+
+
+def read_listed(path: Path) -> bytes:
+    """A file's bytes, held to its folder's SHA256SUMS if it is listed there; raises DamagedFile where they differ.
+
+    Runs of earlier versions do not list their tables.
+    """
+    path = Path(path)
+    expected = read_sums(path.parent).get(path.name)
     data = read_regular(path)
-    if hashlib.sha256(data).hexdigest() != expected:
+    if expected is not None and _digest(data) != expected:
         raise DamagedFile(f"{path} is damaged: its SHA-256 is not the one in {path.with_name(SUMS)}; put back a copy")
     return data
 
@@ -71,7 +106,7 @@ def read_sums(folder: Path) -> dict[str, str]:
     """Digests by file name from a folder's SHA256SUMS; empty where there is none. Raises DamagedFile."""
     path = Path(folder) / SUMS
     try:
-        lines = read_regular(path).decode().splitlines()
+        lines = read_regular(path).decode().split("\n")
     except FileNotFoundError:
         return {}
     except UnicodeDecodeError:
@@ -81,8 +116,21 @@ def read_sums(folder: Path) -> dict[str, str]:
 
 
 def _write_sums(folder: Path, sums: dict[str, str]) -> None:
-    text = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items())).encode()
-    write_atomically(folder / SUMS, lambda file: file.write(text), checked=False)
+    text = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
+    write_together(folder, {SUMS: text.encode()}, checked=False)
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Let an OSError name this file: not a temporary one, and not none, as where the disk is full."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def _sync_folder(folder: Path) -> None:
@@ -106,7 +154,7 @@ def read_regular(path: Path, most: int = -1) -> bytes:
 
 def digest_of(path: Path) -> str:
     """A file's SHA-256."""
-    return hashlib.sha256(read_regular(path)).hexdigest()
+    return _digest(read_regular(path))
 
 
 def json_object(text: str | bytes) -> dict[str, Any]:
@@ -118,6 +166,17 @@ def json_object(text: str | bytes) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise ValueError("it is not a JSON object")
     return found
+
+
+def csv_rows(text: str) -> list[dict[str, str]]:
+    """The rows of a CSV file by their headings; raises ValueError where a row has not a field for each heading."""
+    try:
+        rows = list(csv.DictReader(io.StringIO(text, newline="")))
+    except csv.Error as error:
+        raise ValueError(str(error)) from None
+    if any(None in row or None in row.values() for row in rows):
+        raise ValueError("a row has not a field for each heading")
+    return rows
 
 
 def csv_text(rows: list[dict[str, Any]], header: bool = True) -> str:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from sfmrl import __version__
 from sfmrl.files import DamagedFile, json_object, read_regular
-from sfmrl.folders import RUNS, finished, kind_of, run_folders
+from sfmrl.folders import RUNS, finished, in_training, kind_of, run_folders
 
 Line = tuple[str, str]  # what to type, and what it does
 
@@ -27,7 +27,9 @@ def _next_steps(folders: list[Path]) -> tuple[str, list[Line]]:
     trained = next((folder for folder in ended if kind_of(folder) == "rl"), None)
     imitated = next((folder for folder in ended if kind_of(folder) == "il"), None)
     lines: list[Line] = []
-    if folders and not finished(folders[0]):
+    if folders and in_training(folders[0]):
+        where = f"{folders[0]} is being trained now."
+    elif folders and not finished(folders[0]):
         where = f"{folders[0]} has not ended."
         lines.append((f"sfmrl {kind_of(folders[0])} --resume {_quoted(folders[0])}", "go on with it"))
     elif trained:

@@ -14,6 +14,7 @@ import numpy as np
 from sfmrl.config import Config, ConfigError, Simulation
 from sfmrl.episodes import Record, play_episodes, returns_of, rewards_of
 from sfmrl.files import DamagedFile, read_checked, write_atomically
+from sfmrl.folders import DEMONSTRATIONS
 from sfmrl.geometry import length
 from sfmrl.learning import Fit, torch_threads
 from sfmrl.lookahead import step_discount
@@ -27,7 +28,6 @@ from sfmrl.scenarios import Scenes, elements_of, generator, sample_scenes
 from sfmrl.states import OWN, column_names
 from sfmrl.stopping import Interrupted, StopSignal
 
-DEMONSTRATIONS = "demonstrations.npz"
 DERIVED = ("time_step", "goal_distance_before")  # of a transition, what is not kept in that file
 STORED = [item.name for item in fields(Transition) if item.name not in DERIVED]
 
@@ -110,7 +110,9 @@ def save_demonstrations(record: Record, path: Path) -> str:
     arrays = {f"scenes.{f.name}": getattr(record.scenes, f.name) for f in fields(Scenes)}
     arrays |= {f"transition.{name}": getattr(record.transition, name)[record.played] for name in STORED}
     arrays |= {"position": record.position[moments], "velocity": record.velocity[moments], "steps": record.steps}
-    return write_atomically(path, lambda file: np.savez(file, **arrays))
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return write_atomically(path, buffer.getvalue())
 
 
 def load_demonstrations(path: Path, simulation: Simulation) -> Record:

@@ -7,7 +7,8 @@ import numpy as np
 
 from sfmrl.config import ConfigError, suggest
 from sfmrl.crowd import World, orca_crowd, sfm_crowd
-from sfmrl.folders import WEIGHTS
+from sfmrl.files import read_checked
+from sfmrl.folders import WEIGHTS, unfinished
 from sfmrl.lookahead import Policy, SarlPolicy, available_cores
 from sfmrl.models import model_names, model_weights
 from sfmrl.own_code import kind, trusted
@@ -53,8 +54,8 @@ def load_policy(name_or_path: str | Path, threads: int | None = None, *, trust_r
 
     A CrowdNav file says nothing of its reward: it looks ahead with CrowdNav's. A network that was trained with a reward
     of somebody's own looks ahead with that Python code, which is run only if `trust_reward` is True or its name,
-    file.py:function. Raises ConfigError where there is no such policy, DamagedFile where a run's weights are not what
-    was written.
+    file.py:function. Raises ConfigError where there is no such policy, DamagedFile where a run's weights, config.json
+    or run.json are not what was written.
     """
     if str(name_or_path) in POLICIES:
         return POLICIES[str(name_or_path)]
@@ -84,6 +85,8 @@ def find_weights(name_or_path: str | Path) -> Path:
         return path / CROWDNAV
     if not (path / "run.json").exists() and not (path / WEIGHTS).exists():
         raise ConfigError(f"{path} is not a run folder: it has neither run.json nor {WEIGHTS}; name one that has")
+    for name in ("run.json", "config.json") if (path / "run.json").exists() else ():
+        read_checked(path / name)
     if not (path / WEIGHTS).exists():
-        raise ConfigError(f"{path} holds no {WEIGHTS}: that training has not ended; go on with it by --resume {path}")
+        raise ConfigError(unfinished(path))
     return path / WEIGHTS

@@ -15,19 +15,19 @@ from sfmrl.episodes import Record
 from sfmrl.evaluation import episode_rows, evaluation_record, metrics
 from sfmrl.exploration import Explored, Explorer, remember
 from sfmrl.files import DamagedFile, digest_of, read_sums
-from sfmrl.imitation import DEMONSTRATIONS, fill_memory, fit_memory, load_demonstrations, make_memory, new_fit
+from sfmrl.folders import BEST, DEMONSTRATIONS, run_folders, unfinished
+from sfmrl.imitation import fill_memory, fit_memory, load_demonstrations, make_memory, new_fit
 from sfmrl.learner import Learner
 from sfmrl.learning import torch_threads
 from sfmrl.lookahead import Policy, SarlPolicy
 from sfmrl.policies import WEIGHTS
 from sfmrl.progress import Progress
 from sfmrl.recovery import with_recovery
-from sfmrl.runs import Run, create_run, open_run, run_folders
+from sfmrl.runs import Run, create_run, open_run
 from sfmrl.states import column_names
 from sfmrl.stopping import Interrupted, StopSignal
 from sfmrl.weights import load_weights, network_from, save_weights
 
-BEST = "best.pt"  # the weights of the best validation
 CHECKPOINT_EVERY = 20.0  # seconds between checkpoints; when they are taken changes no number
 EVALUATION_SEED = 0  # validation and test are the same episodes for every training seed, so that runs compare in pairs
 VALIDATED = ("success", "collision", "timeout", "navigation_time", "total_reward")
@@ -165,7 +165,7 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
             )
     imitation = open_run(source, "il")
     if not imitation.finished:
-        raise ConfigError(f"{source} has not ended; go on with it first: sfmrl il --resume {source}")
+        raise ConfigError(unfinished(source))
     if imitation.config.simulation != config.simulation:
         raise ConfigError(f"the demonstrations of {source} come from another simulation; name another --from")
     if folder is not None and folder.resolve() == source.resolve():
@@ -176,10 +176,12 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
 
 
 def fits(folder: Path, config: Config) -> bool:
-    """Whether a folder holds a finished imitation run for trainings with this config."""
+    """Whether a folder holds a finished imitation run for trainings with this config; raises DamagedFile."""
     try:
         run = open_run(folder, "il")
-    except (ConfigError, DamagedFile):
+    except DamagedFile as error:
+        raise DamagedFile(f"{error}, or name a run with --from") from None
+    except ConfigError:
         return False
     same = all(getattr(run.config, name) == getattr(config, name) for name in ("preset", "seed", "simulation"))
     return run.finished and same

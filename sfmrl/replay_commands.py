@@ -176,6 +176,6 @@ def _write(files: dict[str, Path], replay: Any, room: tuple[int, int], stills: d
             shown = replay.frames(*room, **stills)
             text = to_txt(shown)
         data = text.encode()
-        write_atomically(path, lambda file, data=data: file.write(data), checked=False)
+        write_atomically(path, data, checked=False)
         many = f"{len(shown)} {'frame' if len(shown) == 1 else 'frames'} of {room[0]}x{room[1]}"
         say(f"wrote {path}: {many}, {len(data) / 1000:.0f} kB")

@@ -5,7 +5,6 @@ same episodes, with the weights that the training ended with, as in the paper; t
 beside them. Validation, test and training episodes are drawn from streams of their own, and never overlap.
 """
 
-import csv
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sfmrl.config import ConfigError
+from sfmrl.files import csv_rows, read_listed
 from sfmrl.folders import finished
 from sfmrl.tables import run_folder
 
@@ -70,19 +70,27 @@ class Trained:
 def read_row(folder: Path, number: int, preset: str, row: str, seeds: list[int]) -> Trained | None:
     """The finished runs of a row among `seeds`; None where there is none.
 
-    Raises ConfigError where a run was tested or validated on other episodes than the others.
+    Raises ConfigError where a run was tested or validated on other episodes than the others, or cannot be read;
+    DamagedFile where one of its files is not what was written.
     """
     runs = {seed: run_folder(folder, number, preset, row, seed) for seed in seeds}
     runs = {seed: run for seed, run in runs.items() if finished(run)}
     if not runs:
         return None
     try:
-        tests, validations, metrics = (
-            [_columns(run / name) for run in runs.values()] for name in ("test.csv", "validation.csv", "metrics.csv")
-        )
-        best = [json.loads((run / "result.json").read_text())["best_validation"] for run in runs.values()]
-    except (OSError, ValueError, KeyError) as error:
+        return _trained(runs)
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        if isinstance(error, ConfigError):
+            raise
         raise ConfigError(f"a run of row {row} under {folder} cannot be read ({error!r}); train it again") from error
+
+
+def _trained(runs: dict[int, Path]) -> Trained:
+    """The runs of a row by seed; raises ConfigError where they differ, and whatever odd content leads to."""
+    tests, validations, metrics = (
+        [_columns(run / name) for run in runs.values()] for name in ("test.csv", "validation.csv", "metrics.csv")
+    )
+    best = [json.loads(read_listed(run / "result.json"))["best_validation"] for run in runs.values()]
     for name, group, key in (("tested", tests, "episode"), ("validated", validations, "episode")):
         for run, columns in zip(runs.values(), group, strict=True):
             if columns[key] != group[0][key]:
@@ -107,6 +115,5 @@ def read_row(folder: Path, number: int, preset: str, row: str, seeds: list[int])
 
 
 def _columns(path: Path) -> dict[str, list[str]]:
-    with open(path, newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(read_listed(path).decode())
     return {name: [row[name] for row in rows] for name in rows[0]} if rows else {}

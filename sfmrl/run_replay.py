@@ -1,25 +1,28 @@
 """What a run's numbers come from, played again: its network's test episodes, or ORCA's demonstrations."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from sfmrl import run_tables
 from sfmrl.config import Reward
 from sfmrl.episodes import Record, play_episodes
-from sfmrl.evaluation import episode_rows, evaluation_record
-from sfmrl.files import json_object, read_regular
-from sfmrl.folders import WEIGHTS
-from sfmrl.imitation import DEMONSTRATIONS, load_demonstrations
+from sfmrl.evaluation import RATES, episode_rows, evaluation_record
+from sfmrl.files import csv_rows, json_object, read_listed
+from sfmrl.folders import DEMONSTRATIONS, WEIGHTS
+from sfmrl.imitation import load_demonstrations
 from sfmrl.lookahead import Policy, SarlPolicy
 from sfmrl.policies import orca_policy
 from sfmrl.progress import Progress
 from sfmrl.recovery import with_recovery
 from sfmrl.reinforcement import EVALUATION_SEED
-from sfmrl.run_tables import Disagreement
 from sfmrl.runs import Run
 from sfmrl.scenarios import sample_scenes
 from sfmrl.weights import load_weights
+
+
+class Disagreement(Exception):
+    """What does not agree, in words."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,7 @@ class Replay:
         what = f"of {whole} test episodes, played by {weights} alone,"
         if not (run.folder / name).exists():
             return self._against_failures(record, _result(run), whole, what)
-        kept = run_tables.table(run.folder / name)[:count]
+        kept = csv_rows(read_listed(run.folder / name).decode())[:count]
         again = [{key: str(value) for key, value in row.items()} for row in episode_rows(record)]
         pairs = zip(kept, again, strict=True)
         differ = np.array([any(one[key] != other[key] for key in ("outcome", "steps")) for one, other in pairs])
@@ -84,8 +87,8 @@ class Replay:
             progress=self.progress,
         )
 
-    def _against_failures(self, record: Record, part: dict, whole: int, what: str) -> str:
-        kept = np.array(run_tables.outcomes(part, whole))[: len(record.steps)]
+    def _against_failures(self, record: Record, part: dict[str, Any], whole: int, what: str) -> str:
+        kept = np.array(_outcomes(part, whole))[: len(record.steps)]
         return self._judged(kept != record.outcome, False, what)
 
     def _judged(self, differ: np.ndarray, exact: bool, what: str) -> str:
@@ -100,5 +103,27 @@ class Replay:
         return said
 
 
-def _result(run: Run) -> dict:
-    return json_object(read_regular(run.folder / "result.json"))
+def result(run: Run) -> str:
+    """The rates in result.json, held to the outcomes in its tables and in its lists of failures."""
+    found, whole = _result(run), run.config.reinforcement.test_episodes
+    best, recovering = found.get("best_validation"), found.get("with_recovery")
+    for part, name in ((found, "test.csv"), (best, "test-best.csv"), (recovering, "")):
+        sources = {"its failures": _outcomes(part, whole)} if part else {}
+        if part and name and (run.folder / name).exists():
+            sources[name] = [row["outcome"] for row in csv_rows(read_listed(run.folder / name).decode())]
+        for source, ends in sources.items():
+            if len(ends) != whole or any(round(part[rate] * whole) != ends.count(rate) for rate in RATES):
+                raise Disagreement(f"its rates are not those of {whole} episodes in {source}")
+    return ", ".join(f"{name} {found[name]:.3f}" for name in RATES)
+
+
+def _outcomes(part: dict[str, Any], episodes: int) -> list[str]:
+    """The outcome of every test episode that follows from a result's list of failures."""
+    ends = ["success"] * episodes
+    for failure in part["failures"]:
+        ends[failure["episode"]] = failure["outcome"]
+    return ends
+
+
+def _result(run: Run) -> dict[str, Any]:
+    return json_object(read_listed(run.folder / "result.json"))

@@ -4,17 +4,19 @@
     run.json           kind, command, versions          validation.csv   rates during the training
     checkpoint-N.pt    all that resuming needs          weights.pt       the trained network, when done
     demonstrations.npz what imitation learnt from       best.pt          the network of the best validation
-    SHA256SUMS         digests of what is read back     test.csv         a line an episode of the final test
-                                                        result.json      the final test's metrics
+    map.txt            the map, if it trains on one     test.csv         a line an episode of the final test
+    SHA256SUMS         a digest of each file            result.json      the final test's metrics
 
-A killed run goes on from its newest checkpoint to the same bits as one that was never stopped.
+A killed run goes on from its newest checkpoint to the same bits as one that was never stopped. The digests of what is
+read back enter SHA256SUMS when it is written, those of the tables when the run ends.
 """
 
+import io
 import json
 import os
 import platform
+import re
 import shlex
-import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,16 +31,48 @@ import torch
 
 from sfmrl import __version__
 from sfmrl.config import Config, ConfigError
-from sfmrl.files import DamagedFile, csv_text, json_object, read_checked, remove_checked, write_atomically
-from sfmrl.folders import KINDS, RUNS, WEIGHTS, kind_of, run_folders
+from sfmrl.files import (
+    SUMS,
+    TEMPORARY,
+    DamagedFile,
+    append,
+    csv_text,
+    json_object,
+    read_checked,
+    read_listed,
+    read_sums,
+    remove_checked,
+    unlist,
+    write_atomically,
+    write_together,
+)
+from sfmrl.folders import (
+    BEST,
+    DEMONSTRATIONS,
+    KINDS,
+    LOCK,
+    MAP,
+    RUNS,
+    TABLES,
+    WEIGHTS,
+    finished,
+    in_training,
+    kind_of,
+    locked,
+    run_folders,
+)
+from sfmrl.layouts import DRAWN
 from sfmrl.network import ValueNetwork, resolved
 from sfmrl.own_code import reward_digest
 from sfmrl.rewards import reward_terms
 from sfmrl.scenarios import parse_mix
 from sfmrl.variants import variant_name
-from sfmrl.weights import read_foreign, save_weights
+from sfmrl.weights import read_foreign, weights_file
 
 KEEP = 2  # checkpoints kept: the newest, and one to fall back on
+CHECKPOINT = re.compile(r"checkpoint-\d{6}\.pt")
+MADE = ("config.json", MAP, "run.json")  # with a new run, in this order: with run.json, the run is there
+WRITTEN = {*MADE, *TABLES, WEIGHTS, BEST, DEMONSTRATIONS, SUMS}  # with checkpoints, all that a run ever writes
 
 
 @dataclass(frozen=True)
@@ -59,22 +93,35 @@ class Run:
     @property
     def finished(self) -> bool:
         """Whether the training has come to its end."""
-        return (self.folder / WEIGHTS).exists()
+        return finished(self.folder)
 
     def save_checkpoint(self, state: dict[str, Any]) -> None:
         """Keep all that resuming needs, under the next number; older checkpoints but one are removed."""
         number = 1 + max((int(path.stem.rpartition("-")[2]) for path in self.checkpoints()), default=0)
-        write_atomically(self.folder / f"checkpoint-{number:06d}.pt", lambda file: torch.save(state, file))
+        buffer = io.BytesIO()
+        torch.save(state, buffer)
+        write_atomically(self.folder / f"checkpoint-{number:06d}.pt", buffer.getvalue())
         remove_checked(self.checkpoints()[:-KEEP])
 
     def checkpoints(self) -> list[Path]:
         """The checkpoint files, oldest first."""
-        return sorted(self.folder.glob("checkpoint-" + "[0-9]" * 6 + ".pt"))
+        return sorted(path for path in self.folder.iterdir() if CHECKPOINT.fullmatch(path.name))
 
     def finish(self, network: ValueNetwork) -> None:
-        """Keep the trained network: the run has come to its end, and needs its checkpoints no more."""
-        save_weights(network, self.config, self.folder / WEIGHTS)
+        """Save the trained network, list the tables in SHA256SUMS, and delete the checkpoints."""
+        tables = [name for name in TABLES if (self.folder / name).exists()]
+        write_together(self.folder, {WEIGHTS: weights_file(network, self.config)}, tables)
         remove_checked(self.checkpoints())
+
+    def tidy(self) -> None:
+        """Remove what killed processes left: temporary files, digests of files that are gone, old checkpoints."""
+        for path in _leftovers(self.folder):
+            path.unlink()
+        gone = {name for name in read_sums(self.folder) if not (self.folder / name).exists()}
+        if self.finished:
+            gone = set(filter(CHECKPOINT.fullmatch, gone))
+            remove_checked(self.checkpoints())
+        unlist(gone, self.folder)
 
     def load_checkpoint(self) -> dict[str, Any] | None:
         """The newest checkpoint's state, None where there is none yet; raises DamagedFile with the way out."""
@@ -102,18 +149,16 @@ class Run:
 
     def write_table(self, name: str, rows: list[dict[str, Any]]) -> None:
         """A CSV file with a line a row, whole or as it was."""
-        write_atomically(self.folder / name, lambda file: file.write(csv_text(rows).encode()), checked=False)
+        write_atomically(self.folder / name, csv_text(rows).encode(), checked=False)
 
     def append_rows(self, name: str, rows: list[dict[str, Any]]) -> None:
         """Add lines to a CSV file."""
         path = self.folder / name
-        with open(path, "a", newline="") as file:
-            file.write(csv_text(rows, header=path.stat().st_size == 0))
+        append(path, csv_text(rows, header=not path.exists() or path.stat().st_size == 0).encode())
 
     def write_json(self, name: str, content: dict[str, Any]) -> None:
         """A JSON file, whole or as it was."""
-        text = json.dumps(content, indent=2) + "\n"
-        write_atomically(self.folder / name, lambda file: file.write(text.encode()), checked=False)
+        write_atomically(self.folder / name, (json.dumps(content, indent=2) + "\n").encode(), checked=False)
 
 
 def create_run(
@@ -129,8 +174,9 @@ def create_run(
     """Make a run folder: the one named, or a new one under runs/ whose name says kind, variant and seed.
 
     Raises ConfigError where a name in the config stands for nothing, and where the folder is there already and
-    `overwrite` is not set; then only a run (or an empty folder) is ever replaced. With `go_on` a run that is there
-    already is opened instead, if it has this very config. `imitation` is the run that this one goes on from; it is kept
+    `overwrite` is not set; then only a run (or an empty folder) is ever replaced, and only what a run writes is
+    removed. What is left of a run whose making was killed counts as nothing. With `go_on` a run that is there already
+    is opened instead, if it has this very config. `imitation` is the run that this one goes on from; it is kept
     relative to the new folder, so that both can be moved. `facts` go into run.json.
     """
     schedule = config.reinforcement
@@ -140,18 +186,9 @@ def create_run(
     if go_on and folder is not None and kind_of(folder):
         return _same_run(folder, kind, config)
     config = replace(config, precision=resolved(config.precision))
-    if folder is None:
-        name = f"{kind}-{variant_name(config)}-seed{config.seed}"
-        folder = _new_folder(name)
-    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        if not overwrite:
-            unfinished = kind_of(folder) is not None and not (folder / WEIGHTS).exists()
-            ways = ["name another --run", "replace it with --overwrite", f"go on with it by --resume {folder}"]
-            raise ConfigError(f"{folder} is there already; {', or '.join(ways[: 2 + unfinished])}")
-        if kind_of(folder) is None:
-            raise ConfigError(f"{folder} is not a run folder, so --overwrite leaves it alone; name another --run")
-        shutil.rmtree(folder)
-    folder.mkdir(parents=True, exist_ok=True)
+    files = {"config.json": config.to_json()}
+    if schedule.environment.startswith(DRAWN):
+        files[MAP] = schedule.environment.removeprefix(DRAWN).replace("/", "\n") + "\n"
     facts = {
         "kind": kind,
         "variant": variant_name(config),
@@ -159,13 +196,74 @@ def create_run(
         "command": shlex.join(["sfmrl", *sys.argv[1:]]),
         "versions": versions(),
         "own_reward": reward_digest(config.reward),
-        "imitation": None if imitation is None else os.path.relpath(imitation, folder),
         **facts,
     }
-    run = Run(folder, kind, config, facts)
-    write_atomically(folder / "config.json", lambda file: file.write(config.to_json().encode()))
-    write_atomically(folder / "run.json", lambda file: file.write(json.dumps(facts, indent=2).encode()))
-    return run
+    name = f"{kind}-{variant_name(config)}-seed{config.seed}"
+    for place in [folder] if folder else (RUNS / (name if n == 1 else f"{name}-{n}") for n in count(1)):
+        facts["imitation"] = None if imitation is None else os.path.relpath(imitation, place)
+        try:
+            _make(place, files | {"run.json": json.dumps(facts, indent=2)}, overwrite)
+        except ConfigError:
+            if folder:
+                raise
+            continue  # another run has this name
+        return replace(open_run(place), config=config)  # whose reward the user has named
+    raise AssertionError("there is always one more number")
+
+
+def _make(folder: Path, files: dict[str, str], overwrite: bool) -> None:
+    """Put the first files of a new run into a folder; raises ConfigError where something else is there."""
+    _refuse(folder, overwrite)
+    folder.mkdir(parents=True, exist_ok=True)
+    with locked(folder):
+        _refuse(folder, overwrite)  # another process may have been there first
+        if _listed(folder, MAP):
+            (folder / MAP).unlink(missing_ok=True)
+        elif MAP in files and (folder / MAP).exists():
+            raise ConfigError(f"{folder / MAP} does not belong to the run; move it away, or name another --run")
+        # Without SHA256SUMS the old run cannot be opened, but replaced, whenever this is interrupted.
+        (folder / SUMS).unlink(missing_ok=True)
+        for path in folder.iterdir():
+            if path.name in WRITTEN - {*MADE} or CHECKPOINT.fullmatch(path.name):
+                path.unlink()
+        for path in _leftovers(folder):
+            path.unlink()
+        write_together(folder, {name: text.encode() for name, text in files.items()})
+
+
+def _refuse(folder: Path, overwrite: bool) -> None:
+    """Raises ConfigError where no new run may be made: something is in the folder, and it is not to be replaced."""
+    if not folder.exists() or (folder.is_dir() and not _holds_something(folder)):
+        return
+    if kind_of(folder) is None:
+        said = ", so --overwrite leaves it alone" if overwrite else ""
+        raise ConfigError(f"{folder} is there already, and is not a run folder{said}; name another --run")
+    if not overwrite and in_training(folder):
+        raise ConfigError(f"{folder} is being trained by another process; name another --run")
+    if not overwrite:
+        ways = ["name another --run", "replace it with --overwrite", f"go on with it by --resume {folder}"]
+        raise ConfigError(f"{folder} is there already; {', or '.join(ways[: 2 + (not finished(folder))])}")
+
+
+def _holds_something(folder: Path) -> bool:
+    """Whether there is more in a folder than what is left of a run whose making was killed, which lacks run.json."""
+    there = {path.name for path in folder.iterdir()} - {path.name for path in _leftovers(folder)} - {LOCK}
+    listed = set(read_sums(folder)) if there else set()
+    return bool(there) and not (listed and there <= (listed | {SUMS}) - {"run.json"} and listed <= set(MADE))
+
+
+def _listed(folder: Path, name: str) -> bool:
+    """Whether a folder's SHA256SUMS lists a file; it does not where it is damaged."""
+    try:
+        return name in read_sums(folder)
+    except DamagedFile:
+        return False
+
+
+def _leftovers(folder: Path) -> list[Path]:
+    """Temporary files of a run that killed processes left in its folder."""
+    names = [(path, TEMPORARY.fullmatch(path.name)) for path in folder.iterdir()]
+    return [path for path, name in names if name and (name[1] in WRITTEN or CHECKPOINT.fullmatch(name[1]))]
 
 
 def _same_run(folder: Path, kind: str, config: Config) -> Run:
@@ -180,24 +278,12 @@ def _same_run(folder: Path, kind: str, config: Config) -> Run:
     return replace(run, config=config)
 
 
-def _new_folder(name: str) -> Path:
-    """Make runs/name, or the first of runs/name-2, runs/name-3 ... that nobody has made."""
-    RUNS.mkdir(exist_ok=True)
-    for number in count(1):
-        folder = RUNS / (name if number == 1 else f"{name}-{number}")
-        try:
-            folder.mkdir()
-        except FileExistsError:
-            continue
-        return folder
-    raise AssertionError("there is always one more number")
-
-
 def open_run(folder: Path, kind: str | None = None) -> Run:
     """Open a run folder; raises ConfigError where it is none (or of another kind), DamagedFile where it is damaged."""
     if not (folder / "run.json").is_file() or not (folder / "config.json").is_file():
         what = "is not a run folder: it has no run.json and config.json" if folder.exists() else "does not exist"
-        known = ", ".join(map(str, run_folders())) or "none yet, sfmrl il makes one"
+        runs = [f"{path} (being trained)" if in_training(path) else str(path) for path in run_folders()]
+        known = ", ".join(runs) or "none yet, sfmrl il makes one"
         raise ConfigError(f"{folder} {what}; known runs: {known}")
     facts = _facts(folder / "run.json")
     try:
@@ -223,26 +309,28 @@ def _facts(path: Path) -> dict[str, Any]:
 
 
 def newest_run() -> Path:
-    """The newest finished run under runs/; raises ConfigError where there is none."""
+    """The newest finished run under runs/; raises ConfigError where there is none, DamagedFile where none can be told.
+
+    Which one is the newest is in their run.json.
+    """
+    for path in RUNS.glob("[!.]*/run.json"):
+        read_listed(path)
     for folder in run_folders():
-        if (folder / WEIGHTS).exists():
+        if finished(folder):
             return folder
     raise ConfigError("there is no finished run under runs/ yet: type sfmrl il, or name a policy, as sarl-sfm6 or orca")
 
 
 @contextmanager
 def sole_use(run: Run) -> Iterator[None]:
-    """Keep a second process from training the same run, where the system can; raises ConfigError where one does."""
-    try:
-        import fcntl
-    except ImportError:
-        yield
-        return
-    with open(run.folder / ".lock", "w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ConfigError(f"{run.folder} is being trained by another process; wait for it, or stop it") from None
+    """Keep other processes from training the same run, where the system can, and tidy its folder.
+
+    Raises ConfigError where another process trains the run, or has replaced it since it was opened.
+    """
+    with locked(run.folder):
+        if open_run(run.folder) != run:
+            raise ConfigError(f"{run.folder} has just been replaced by another process; name another --run")
+        run.tidy()
         yield
 
 

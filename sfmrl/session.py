@@ -45,7 +45,12 @@ def existing(folder: Path | None, overwrite: bool, go_on: bool) -> dict[str, boo
 
 def finished(run: Any) -> bool:
     """Whether nothing is left to do, and says so."""
+    from sfmrl.runs import sole_use
+
     if run.finished:
+        if run.checkpoints():  # it was killed while it removed them
+            with sole_use(run):
+                pass
         say(f"{run.folder} is finished already")
     return run.finished
 
@@ -70,19 +75,21 @@ def train(run: Any, work: Callable[..., Any]) -> Any:
 
     trust = "" if run.config.reward.reward in REWARDS else " --trust-reward"
     how = f"sfmrl {run.kind} --resume {shlex.quote(str(run.folder))}{trust}"
-    if run.finished:
-        next_step = f"test it with sfmrl eval {shlex.quote(str(run.folder))}, or begin another run"
-        raise ConfigError(f"{run.folder} is finished; there is nothing to go on with: {next_step}")
-    say(f"run folder {run.folder}")
     if run.facts.get("own_reward") != reward_digest(run.config.reward):
         raise ConfigError(f"{run.config.reward.reward} has changed since {run.folder} began; start a new run with it")
     reward_terms(run.config.reward)  # which says why if it cannot, or must not, be used
     with sole_use(run), StopSignal(say) as stop:
+        if run.finished:
+            next_step = f"test it with sfmrl eval {shlex.quote(str(run.folder))}, or begin another run"
+            raise ConfigError(f"{run.folder} is finished; there is nothing to go on with: {next_step}")
+        say(f"run folder {run.folder}")
         try:
             return work(show_progress(err), stop)
         except (Interrupted, KeyboardInterrupt):
             say(f"interrupted; go on with: {how}")
             raise typer.Exit(130) from None
+        except OSError as error:  # as where the disk is full
+            raise OSError(error.errno, f"{error.strerror}; then go on with: {how}", error.filename) from None
 
 
 def choose(

@@ -93,11 +93,11 @@ def verify(
     trust_reward: TrustReward = False,
     threads: Threads = None,
 ) -> None:
-    """Check a run that was handed in: files against SHA256SUMS, tables against each other, weights by playing again.
+    """Check a run that was handed in: files against SHA256SUMS, weights by playing again.
 
-    Exit code 0 if all that could be checked agrees, else 1. Digests and tables can be forged by whoever computes them
-    anew; that weights do what the tables say cannot, but not who trained them, or how. A reward of the run's own is
-    Python code, and is run only with --trust-reward: read it first.
+    Exit code 0 if all that could be checked agrees, else 1. Digests can be forged by whoever computes them anew; that
+    the weights do what the test's table says cannot, but who trained them, and how, is not checked. A reward of the
+    run's own is Python code, and is run only with --trust-reward: read it first.
     """
     from sfmrl.progress import show_progress
     from sfmrl.verification import verify as findings_of

@@ -1,27 +1,23 @@
-"""Is a run folder what a training of sfmrl leaves: its files, its tables, and its weights, played again.
+"""Is a run folder what a training of sfmrl leaves: its files by their digests, and its weights, played again.
 
-Whoever computes digests and tables anew can deceive the first two, but not the last.
+Whoever computes the digests anew can deceive the first, but not the last.
 """
 
 import hashlib
-import shlex
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sfmrl import run_tables
 from sfmrl.config import ConfigError
 from sfmrl.files import SUMS, DamagedFile, read_sums
-from sfmrl.folders import WEIGHTS
-from sfmrl.imitation import DEMONSTRATIONS
+from sfmrl.folders import BEST, DEMONSTRATIONS, MAP, TABLES, WEIGHTS, unfinished
+from sfmrl.layouts import DRAWN
 from sfmrl.network import resolved
 from sfmrl.own_code import UntrustedReward, reward_digest, trusted
 from sfmrl.progress import Progress
-from sfmrl.reinforcement import BEST
-from sfmrl.run_replay import Replay
-from sfmrl.run_tables import Disagreement
-from sfmrl.runs import Run, open_run, versions
+from sfmrl.run_replay import Disagreement, Replay, result
+from sfmrl.runs import CHECKPOINT, Run, open_run, versions
 from sfmrl.weights import load_weights
 
 ELSEWHERE = 0.05  # share of episodes that may end otherwise under other versions, or on another processor
@@ -64,6 +60,7 @@ def verify(
         yield Finding("run.json", False, f"nothing more can be told of this run: {error}")
         return
     yield _finding("training", _finished, run)
+    yield _finding("tables", _tables, run)
     yield _finding(WEIGHTS, _weights, run)
     if ":" in run.config.reward.reward:
         own = _finding("reward", _own_reward, run, trust_reward)
@@ -108,11 +105,14 @@ def _sums(folder: Path) -> str:
     for name, digest in sums.items():
         path = folder / name
         if Path(name).name != name or not path.is_file():
-            bad.append(f"{name} is listed, but not here")
+            if not CHECKPOINT.fullmatch(name):  # a training may have been killed while it removed its checkpoints
+                bad.append(f"{name} is listed, but not here")
         elif hashlib.sha256(path.read_bytes()).hexdigest() != digest:
             bad.append(f"{name} is not what was written")
     must = ("config.json", "run.json", WEIGHTS, BEST, DEMONSTRATIONS)
     bad += [f"{name} is not listed" for name in must if (folder / name).exists() and name not in sums]
+    if (folder / SUMS).read_bytes().count(b"\n") != len(sums):
+        bad.append("it has lines that list no file")
     if bad:
         raise Disagreement("; ".join(bad))
     return f"all {len(sums)} files are what was written"
@@ -120,8 +120,22 @@ def _sums(folder: Path) -> str:
 
 def _finished(run: Run) -> str:
     if not run.finished:
-        raise Disagreement(f"has not ended; go on with sfmrl {run.kind} --resume {shlex.quote(str(run.folder))}")
+        raise Disagreement(unfinished(run.folder))
     return f"sfmrl {run.kind}, variant {run.facts['variant']}, begun {run.facts['created'][:16]}, has ended"
+
+
+def _tables(run: Run) -> str | Finding:
+    """Every table that the run must have is listed in SHA256SUMS; runs of earlier versions list none."""
+    must, listed = ["metrics.csv"], set(read_sums(run.folder)) & {*TABLES, MAP}
+    if run.kind == "rl":
+        settings = run.config.reinforcement
+        must += ["validation.csv", "test.csv", "result.json"]
+        must += ["test-best.csv"] * settings.test_best + [MAP] * settings.environment.startswith(DRAWN)
+    if not listed:
+        return Finding("tables", None, f"an earlier version made the run: no digests of {', '.join(must)}")
+    if missing := [name for name in must if name not in listed]:
+        raise Disagreement(f"not listed in {SUMS}: {', '.join(missing)}")
+    return f"{', '.join(must)} are listed in {SUMS}"
 
 
 def _weights(run: Run) -> str:
@@ -146,19 +160,13 @@ def _own_reward(run: Run, trust: bool) -> str | Finding:
 
 
 def _imitation(run: Run, replay: Replay) -> Iterator[Finding]:
-    yield _finding("metrics.csv", run_tables.epochs, run.folder, run.config)
     yield _finding("demonstrations", replay.demonstrations, run)
 
 
 def _reinforcement(run: Run, replay: Replay) -> Iterator[Finding]:
     folder, config, settings = run.folder, run.config, run.config.reinforcement
     yield _finding("imitation", _began, run)
-    yield _finding("metrics.csv", run_tables.training, folder, config)
-    yield _finding("validation.csv", run_tables.validations, folder, config)
-    for name in ("test.csv", "test-best.csv"):
-        if (folder / name).exists():
-            yield _finding(name, run_tables.tests, folder, config, name)
-    yield _finding("result.json", run_tables.result, folder, config)
+    yield _finding("result.json", result, run)
     yield _finding("replay", replay.tests, run)
     if (folder / "test-best.csv").exists():
         yield _finding("best replay", replay.tests, run, BEST, "test-best.csv")

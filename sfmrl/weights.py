@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from sfmrl.config import Config, ConfigError
-from sfmrl.files import DamagedFile, read_checked, read_regular, read_sums, write_atomically
+from sfmrl.files import DamagedFile, read_listed, read_regular, write_atomically
 from sfmrl.network import Sizes, ValueNetwork
 from sfmrl.states import OWN, column_names
 
@@ -97,10 +97,16 @@ def architecture(parameters: Any) -> tuple[bool, Sizes]:
     return inputs[0] == len(column_names(True)), sizes
 
 
+def weights_file(network: ValueNetwork, config: Config) -> bytes:
+    """The bytes of a file with a network and the config it was trained under."""
+    buffer = io.BytesIO()
+    torch.save({"weights": network.state_dict(), "config": config.to_json()}, buffer)
+    return buffer.getvalue()
+
+
 def save_weights(network: ValueNetwork, config: Config, path: Path) -> str:
     """Write a network and the config it was trained under to a file of their own; returns its SHA-256."""
-    content = {"weights": network.state_dict(), "config": config.to_json()}
-    return write_atomically(path, lambda file: torch.save(content, file))
+    return write_atomically(path, weights_file(network, config))
 
 
 def load_weights(path: Path) -> tuple[ValueNetwork, Config]:
@@ -110,7 +116,7 @@ def load_weights(path: Path) -> tuple[ValueNetwork, Config]:
     network in the file.
     """
     path = Path(path)
-    content = read_foreign(read_checked(path) if path.name in read_sums(path.parent) else read_regular(path), path)
+    content = read_foreign(read_listed(path), path)
     if not isinstance(content, dict) or not {"weights", "config"} <= set(content):
         network = network_from(content, str(path))
         return network, Config(preset="paper", forces=network.forces)

@@ -24,6 +24,7 @@ from conftest import ROOT, environment
 from sfmrl import __version__, cli, completion
 from sfmrl.cli import app, main
 from sfmrl.config import Config, ConfigError, Imitation, Planner, Reinforcement, Reward, Simulation, SocialForce
+from sfmrl.folders import locked
 from sfmrl.models import model_names
 from sfmrl.network import Sizes, ValueNetwork
 from sfmrl.policies import POLICIES
@@ -349,9 +350,10 @@ def test_a_failure_of_the_system_is_exit_code_1(sfmrl: Call, tmp_path: Path):
 
 def test_a_damaged_run_is_one_line_too(sfmrl: Call, tmp_path: Path):
     assert sfmrl("il", *TINY_IL, "--run", "il").returncode == 0
-    path = tmp_path / "il" / "weights.pt"
-    path.write_bytes(path.read_bytes()[:1000])
-    assert_one_line_error(sfmrl("eval", "il"), "il/weights.pt is damaged")
+    for name in ("weights.pt", "config.json"):
+        path = tmp_path / "il" / name
+        path.write_bytes(path.read_bytes()[:1000])
+        assert_one_line_error(sfmrl("eval", "il"), f"il/{name} is damaged")
 
 
 def test_results_go_to_standard_output_and_what_to_do_next_to_standard_error(sfmrl: Call):
@@ -509,6 +511,17 @@ def test_sfmrl_alone_says_what_to_type_next(in_process: Call, tmp_path: Path, st
             if words[0] != "--help":
                 known = {flag for parameter in COMMANDS[words[0]].params for flag in parameter.opts}
                 assert {word for word in words if word.startswith("--")} <= known
+
+
+def test_sfmrl_alone_says_what_is_being_trained_now(in_process: Call, tmp_path: Path):
+    lay_runs(tmp_path, ("a", "il", True), ("b", "rl", False))
+    with locked(tmp_path / "runs" / "b"):
+        said = in_process().stdout
+        assert completion.unfinished_runs("runs/") == []
+    assert "runs/b is being trained now." in said
+    assert "--resume" not in said
+    assert "sfmrl ascii-render runs/a" in said
+    assert completion.unfinished_runs("runs/") == ["runs/b"]
 
 
 def test_runs_that_cannot_be_read_do_not_keep_sfmrl_from_greeting(in_process: Call, tmp_path: Path):

@@ -51,7 +51,7 @@ LEVELS = (
     ("sweeps", "evaluation", "memory", "learning", "learner", "exploration", "runs", "imitation", "reinforcement"),
     ("tables", "results", "findings", "reports", "comparison", "campaign", "cluster"),
     ("canvas", "story", "timeline", "panel", "plane", "layout", "screen", "replay", "exports", "curves"),
-    ("explanation", "run_tables", "run_replay", "verification", "self_test", "doctor"),
+    ("explanation", "run_replay", "verification", "self_test", "doctor"),
     (
         "completion",
         "options",

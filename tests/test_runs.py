@@ -1,5 +1,6 @@
 """Run folders: whole files, honest errors about damaged ones, and trainings that survive being killed, to the bit."""
 
+import errno
 import json
 import os
 import shutil
@@ -18,14 +19,16 @@ import torch
 from conftest import environment
 
 from sfmrl.config import Config, ConfigError, override
+from sfmrl.drawings import load_map
 from sfmrl.files import SUMS, DamagedFile, read_checked, read_sums, write_atomically
+from sfmrl.folders import in_training, locked, run_folders
 from sfmrl.greeting import greeting
 from sfmrl.imitation import DEMONSTRATIONS, demonstrate, imitate, load_demonstrations
 from sfmrl.network import resolved
 from sfmrl.policies import WEIGHTS, load_policy
 from sfmrl.progress import no_progress
 from sfmrl.reinforcement import reinforce, start_run
-from sfmrl.runs import Run, create_run, newest_run, open_run, run_folders
+from sfmrl.runs import Run, create_run, newest_run, open_run, sole_use
 from sfmrl.stopping import Interrupted, StopSignal
 from sfmrl.variants import make_config
 from sfmrl.weights import load_weights
@@ -50,7 +53,7 @@ def folder(finished, tmp_path) -> Path:
 def interrupted(finished, tmp_path) -> Path:
     """The same run, stopped after each of its three epochs and not taken to its end."""
     run = create_run("il", TINY, tmp_path / "interrupted")
-    write_atomically(run.folder / DEMONSTRATIONS, lambda file: file.write((finished / DEMONSTRATIONS).read_bytes()))
+    write_atomically(run.folder / DEMONSTRATIONS, (finished / DEMONSTRATIONS).read_bytes())
     stop = StopSignal()
     stop.requested = True
     for _ in range(3):
@@ -65,31 +68,24 @@ def flip_a_bit(path: Path) -> None:
     path.write_bytes(data)
 
 
-def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+def test_a_failed_write_leaves_the_old_file_and_names_no_temporary_one(tmp_path, monkeypatch, call, error):
     path = tmp_path / "numbers"
-    write_atomically(path, lambda file: file.write(b"one"))
+    write_atomically(path, b"one")
 
-    def fail(file) -> None:
-        file.write(b"tw")
-        raise RuntimeError("no space left")
+    def fail(*_) -> None:
+        raise error
 
-    with pytest.raises(RuntimeError):
-        write_atomically(path, fail)
+    with monkeypatch.context() as patched:
+        patched.setattr(os, call, fail)
+        with pytest.raises(type(error)) as caught:
+            write_atomically(path, b"two")
+    if isinstance(error, OSError):
+        assert Path(caught.value.filename).name in ("numbers", SUMS)
+        assert caught.value.strerror == "No space left on device"
     assert read_checked(path) == b"one"
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([SUMS, "numbers"])
-
-
-def test_what_is_written_is_whole_even_if_the_writer_is_killed(tmp_path):
-    path = tmp_path / "large"
-    write_atomically(path, lambda file: file.write(b"old"))
-    code = (
-        "import os, pathlib, sys; from sfmrl.files import write_atomically\n"
-        "def write(file): file.write(b'n' * 100_000); file.flush(); os.kill(os.getpid(), 9)\n"
-        "write_atomically(pathlib.Path(sys.argv[1]), write)"
-    )
-    done = subprocess.run([sys.executable, "-c", code, path], env=environment(), check=False)
-    assert done.returncode == -signal.SIGKILL
-    assert read_checked(path) == b"old"
 
 
 def test_read_checked_names_the_file_and_its_sums(tmp_path):
@@ -97,7 +93,7 @@ def test_read_checked_names_the_file_and_its_sums(tmp_path):
     path.write_bytes(b"one")
     with pytest.raises(DamagedFile, match=r"numbers has no SHA-256"):
         read_checked(path)
-    write_atomically(path, lambda file: file.write(b"one"))
+    write_atomically(path, b"one")
     flip_a_bit(path)
     with pytest.raises(DamagedFile, match=r"numbers is damaged"):
         read_checked(path)
@@ -133,7 +129,13 @@ def test_a_damaged_config_or_run_json_is_named(folder, name):
         open_run(folder)
 
 
-def test_damaged_weights_are_named(folder):
+def test_damaged_weights_or_a_damaged_config_are_named(folder):
+    for name in ("config.json", "run.json"):
+        whole = (folder / name).read_bytes()
+        flip_a_bit(folder / name)
+        with pytest.raises(DamagedFile, match=rf"{name} is damaged"):
+            load_policy(folder)
+        (folder / name).write_bytes(whole)
     flip_a_bit(folder / WEIGHTS)
     for load in (load_policy, lambda path: load_weights(path / WEIGHTS)):
         with pytest.raises(DamagedFile, match=rf"{WEIGHTS} is damaged"):
@@ -293,7 +295,7 @@ def test_stopping_keeps_a_checkpoint_and_raises(tmp_path, finished):
     with pytest.raises(Interrupted):  # of demonstrations nothing is kept until all are there
         imitate(run, no_progress, stop)
     assert run.load_checkpoint() is None
-    write_atomically(run.folder / DEMONSTRATIONS, lambda file: file.write((finished / DEMONSTRATIONS).read_bytes()))
+    write_atomically(run.folder / DEMONSTRATIONS, (finished / DEMONSTRATIONS).read_bytes())
     for epoch in (1, 2, 3):
         with pytest.raises(Interrupted):
             imitate(run, no_progress, stop)
@@ -327,6 +329,9 @@ def test_new_runs_are_named_by_kind_variant_and_seed_and_never_reused(tmp_path, 
         newest_run()
     torch.save({}, names[1] / WEIGHTS)
     assert newest_run() == names[1]
+    (names[0] / "run.json").write_bytes((names[0] / "run.json").read_bytes().replace(b"created", b"creatad"))
+    with pytest.raises(DamagedFile, match=r"run\.json is damaged"):  # so it cannot be told which is the newest
+        newest_run()
 
 
 def test_only_a_run_or_an_empty_folder_is_ever_replaced(tmp_path):
@@ -349,6 +354,88 @@ def test_only_a_run_or_an_empty_folder_is_ever_replaced(tmp_path):
     assert (other / "thesis.tex").read_text() == "years of work"
     with pytest.raises(ConfigError, match="thesis"):
         create_run("il", Config(), other / "thesis.tex", overwrite=True)
+
+
+def test_overwriting_removes_only_what_a_run_writes(tmp_path, finished):
+    run = Path(shutil.copytree(finished, tmp_path / "run"))
+    (run / "checkpoint-000009.pt").touch()
+    for name in ("thesis.tex", "map.txt", ".notes.tmp", "checkpoint-best.pt"):
+        (run / name).write_text("years of work")
+    create_run("il", Config(), run, overwrite=True)
+    theirs = {path.name for path in run.iterdir() if not path.is_dir() and path.read_bytes() == b"years of work"}
+    assert theirs == {"thesis.tex", "map.txt", ".notes.tmp", "checkpoint-best.pt"}
+    assert {path.name for path in run.iterdir()} - theirs == {"config.json", "run.json", SUMS, ".lock"}
+    drawn = make_config(reinforcement={"environment": "map:R....G"})
+    with pytest.raises(ConfigError, match=r"map\.txt does not belong to the run"):
+        create_run("rl", drawn, run, overwrite=True)
+
+
+def test_a_run_in_training_is_neither_overwritten_nor_trained_twice(tmp_path):
+    run = create_run("il", Config(), tmp_path / "run")
+    before = {path: path.read_bytes() for path in run.folder.iterdir()}
+    with sole_use(run):
+        assert in_training(run.folder)
+        for overwrite in (False, True):
+            with pytest.raises(ConfigError, match="is being trained"):
+                create_run("il", Config(seed=1), run.folder, overwrite=overwrite)
+        with pytest.raises(ConfigError, match="is being trained"), sole_use(open_run(run.folder)):
+            pass
+        with pytest.raises(ConfigError, match="is being trained now; wait"):
+            load_policy(run.folder)
+    assert not in_training(run.folder)
+    assert {path: path.read_bytes() for path in run.folder.iterdir()} == before
+
+
+def test_of_two_trainings_on_one_new_folder_one_is_made_and_the_other_refused(tmp_path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    with locked(folder), pytest.raises(ConfigError, match="is being trained by another process"):  # it is being made
+        create_run("il", Config(), folder)
+    assert {path.name for path in folder.iterdir()} == {".lock"}
+    run = create_run("il", Config(), folder)
+    create_run("il", Config(seed=1), folder, overwrite=True)  # before the first one's training has begun
+    with pytest.raises(ConfigError, match="has just been replaced"), sole_use(run):
+        pass
+
+
+@pytest.mark.parametrize("left", [[".config.json.12.tmp"], [SUMS], [SUMS, "config.json", ".run.json.12.tmp"]])
+def test_what_is_left_of_a_run_whose_making_was_killed_counts_as_nothing(tmp_path, left):
+    whole, folder = create_run("il", Config(), tmp_path / "whole").folder, tmp_path / "run"
+    folder.mkdir()
+    for name in left:
+        (folder / name).write_bytes((whole / name).read_bytes() if (whole / name).exists() else b"{")
+    assert create_run("il", Config(seed=1), folder).config.seed == 1
+    assert {path.name for path in folder.iterdir()} == {"config.json", "run.json", SUMS, ".lock"}
+
+
+def test_sums_of_somebody_else_s_files_are_not_what_is_left_of_a_run(tmp_path):
+    (tmp_path / SUMS).write_text(f"{'0' * 64}  thesis.tex\n")
+    with pytest.raises(ConfigError, match="not a run folder"):
+        create_run("il", Config(), tmp_path, overwrite=True)
+    (tmp_path / SUMS).unlink()
+    (tmp_path / "config.json").write_text("{}")
+    with pytest.raises(ConfigError, match="not a run folder"):
+        create_run("il", Config(), tmp_path, overwrite=True)
+
+
+def test_opening_a_run_to_train_it_tidies_what_killed_processes_left(interrupted):
+    run = open_run(interrupted)
+    names = {path.name for path in run.folder.iterdir()}
+    (run.folder / ".checkpoint-000009.pt.12.tmp").write_bytes(b"half")
+    with open(run.folder / SUMS, "a") as file:  # as an earlier version left it, which removed files first
+        file.write(f"{'0' * 64}  checkpoint-000001.pt\n{'0' * 64}  weights.pt\n")
+    with sole_use(run):
+        pass
+    assert {path.name for path in run.folder.iterdir()} == names | {".lock"}
+    assert set(read_sums(run.folder)) == names - {"metrics.csv", SUMS, ".lock"}
+
+
+def test_a_run_that_trains_on_a_map_keeps_the_drawing(tmp_path):
+    config = make_config(reinforcement={"environment": "map:R..1.G/......"})
+    run = create_run("rl", config, tmp_path / "run")
+    assert (run.folder / "map.txt").read_text() == "R..1.G\n......\n"
+    assert load_map(run.folder / "map.txt") == config.reinforcement.environment
+    assert "map.txt" in read_sums(run.folder)
 
 
 def test_a_folder_with_somebody_else_s_run_json_is_not_replaced(tmp_path):

@@ -13,13 +13,12 @@ import torch
 
 from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import RATES
-from sfmrl.files import csv_text
+from sfmrl.files import csv_text, remove_checked, unlist
 from sfmrl.imitation import imitate
 from sfmrl.network import ValueNetwork
 from sfmrl.progress import no_progress
 from sfmrl.reinforcement import reinforce, start_run
-from sfmrl.run_replay import Replay
-from sfmrl.run_tables import Disagreement, _figures
+from sfmrl.run_replay import Disagreement, Replay
 from sfmrl.runs import create_run
 from sfmrl.stopping import StopSignal
 from sfmrl.variants import make_config
@@ -80,7 +79,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 def test_what_sfmrl_left_agrees(handed_in):
     found = findings(handed_in / "rl")
     assert {name for name, finding in found.items() if not finding.agrees} == set()
-    assert {"replay", "best replay", "recovery", "test.csv", "test-best.csv", "imitation"} <= set(found)
+    assert {"replay", "best replay", "recovery", "tables", "imitation"} <= set(found)
     assert "with the same bits" in found["replay"].said
     assert wrong(handed_in / "il") == set()
     assert "with the same bits" in findings(handed_in / "il")["demonstrations"].said
@@ -103,25 +102,23 @@ TAMPERED = {
     "a bit of the weights": (lambda run: flip(run / "weights.pt"), {"SHA256SUMS", "weights.pt", "replay", "recovery"}),
     "a bit of the config": (lambda run: flip(run / "config.json"), {"SHA256SUMS", "run.json"}),
     "no weights": (lambda run: (run / "weights.pt").unlink(), {"SHA256SUMS", "training", "weights.pt", "replay"}),
-    "no tests": (lambda run: (run / "test.csv").write_text(""), {"test.csv", "result.json", "replay"}),
+    "no tests": (lambda run: (run / "test.csv").write_text(""), {"SHA256SUMS", "result.json", "replay"}),
+    "a lost table": (lambda run: (run / "validation.csv").unlink(), {"SHA256SUMS"}),
+    "a table that is lost and not listed": (lambda run: remove_checked([run / "metrics.csv"]), {"tables"}),
     "an episode less": (
         lambda run: rewrite(run / "metrics.csv", lambda text: text.rpartition("\n7,")[0] + "\n"),
-        {"metrics.csv"},
-    ),
-    "other environments": (
-        lambda run: rewrite(run / "metrics.csv", lambda text: re.sub(r"^(\d+),.,", r"\1,5,", text, flags=re.MULTILINE)),
-        {"metrics.csv"},
+        {"SHA256SUMS"},
     ),
     "a validation": (
         lambda run: rewrite(run / "validation.csv", lambda text: re.sub(r"^8,[^,]*", "8,0.99", text, flags=re.M)),
-        {"validation.csv"},
+        {"SHA256SUMS"},
     ),
-    "a reward": (
-        lambda run: rewrite(run / "result.json", lambda text: re.sub('("total_reward": )', r"\g<1>1", text, count=1)),
-        {"result.json"},
+    "a rate": (
+        lambda run: rewrite(run / "result.json", lambda text: re.sub('("success": )', r"\g<1>1", text, count=1)),
+        {"SHA256SUMS", "result.json", "recovery"},
     ),
-    "no JSON": (lambda run: (run / "result.json").write_text("{"), {"result.json", "recovery"}),
-    "not an object": (lambda run: (run / "result.json").write_text("[]"), {"result.json", "recovery"}),
+    "no JSON": (lambda run: (run / "result.json").write_text("{"), {"SHA256SUMS", "result.json", "recovery"}),
+    "not an object": (lambda run: (run / "result.json").write_text("[]"), {"SHA256SUMS", "result.json", "recovery"}),
 }
 
 
@@ -133,23 +130,21 @@ def test_what_was_changed_is_found_out(copy, what):
 
 
 def test_tables_and_digests_forged_together_are_found_out_by_playing_again(copy):
-    """One more success (or one less) in test.csv, with everything that follows from it: only the replay can tell."""
+    """One more success (or one less), in test.csv, or everywhere, with the digests computed anew."""
     run = copy / "rl"
-    rows = rows_of(run / "test.csv")
-    kept = json.loads((run / "result.json").read_text())
-    ends = [row["outcome"] for row in rows]
-    k = next((k for k, end in enumerate(ends) if end != "success"), 0)
-    row = rows[k]
-    if row["outcome"] == "success":
-        row |= {"outcome": "collision", "smallest_separation": "-0.01", "hit": "human"}
-    else:
-        row |= {"outcome": "success", "smallest_separation": "0.3", "hit": ""}
+    rows, kept = rows_of(run / "test.csv"), json.loads((run / "result.json").read_text())
+    k = next((k for k, row in enumerate(rows) if row["outcome"] != "success"), 0)
+    rows[k]["outcome"] = "success" if rows[k]["outcome"] != "success" else "collision"
     (run / "test.csv").write_text(csv_text(rows))
-    (run / "result.json").write_text(json.dumps(kept | _figures(rows_of(run / "test.csv"))))
     forge_sums(run)
-    found = findings(run)
-    assert {name for name, finding in found.items() if finding.agrees is False} == {"replay"}
-    assert f"({k})" in found["replay"].said
+    assert wrong(run) == {"result.json", "replay"}
+    ends = [row["outcome"] for row in rows]
+    kept |= {name: ends.count(name) / 6 for name in RATES}
+    kept["failures"] = [{"episode": n, "outcome": end} for n, end in enumerate(ends) if end != "success"]
+    (run / "result.json").write_text(json.dumps(kept))
+    forge_sums(run)
+    assert wrong(run) == {"replay"}
+    assert f"({k})" in findings(run)["replay"].said
     assert wrong(run, tolerance=0.2) == set()
 
 
@@ -220,9 +215,10 @@ def test_the_tolerance_is_a_share_of_the_episodes(bad, tolerance, right):
 
 def test_a_run_from_before_test_csv_is_held_to_its_failures(copy):
     run = copy / "rl"
-    for name in ("test.csv", "test-best.csv"):
-        (run / name).unlink()
+    remove_checked([run / name for name in ("test.csv", "test-best.csv")])
+    unlist({"metrics.csv", "validation.csv", "result.json"}, run)
     assert wrong(run) == set()
+    assert findings(run)["tables"].agrees is None
     kept = json.loads((run / "result.json").read_text())
     succeeded = min(set(range(6)) - {failure["episode"] for failure in kept["failures"]})
     kept["failures"].append({"episode": succeeded, "environment": "1", "outcome": "collision"})
@@ -271,5 +267,5 @@ def test_the_command_says_what_agrees_and_exits_with_1_when_something_does_not(s
     (copy / "rl" / "metrics.csv").unlink()
     done = sfmrl("verify", copy / "rl", "--episodes", 1)
     assert done.returncode == 1
-    assert "not ok metrics.csv     there is no metrics.csv" in done.stdout
+    assert "not ok SHA256SUMS      metrics.csv is listed, but not here" in done.stdout
     assert "1 of" in done.stdout.splitlines()[-1]
