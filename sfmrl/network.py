@@ -8,6 +8,7 @@ Two things are arranged for speed. Attention's first layer reads [element, mean]
 elements of a state, so it is computed once. And mlp2's last layer is linear, so it may follow the weighted sum.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -33,8 +34,18 @@ PER_METRE, AT_GOAL, PRIOR = 0.9, 0.3, 0.8
 
 LEAST, TINY = -1e30, 1e-30  # a score below all, and a number that makes 0 of 0 / 0
 
-# A layer with ReLU by oneDNN, which torch has no public name for: None where this torch does not have it.
-FUSED = getattr(torch.ops.mkldnn, "_linear_pointwise", None) if torch.backends.mkldnn.is_available() else None
+
+def _fused() -> Callable[..., Tensor] | None:
+    """A layer with ReLU by oneDNN, which torch has no public name for; None where it does not compute here."""
+    try:
+        one = torch.zeros(1, 1, dtype=torch.bfloat16)
+        torch.ops.mkldnn._linear_pointwise(one, one, one[0], "relu", [], "")
+    except (AttributeError, RuntimeError):
+        return None
+    return torch.ops.mkldnn._linear_pointwise
+
+
+FUSED = _fused()
 
 
 class Trace(NamedTuple):
@@ -248,7 +259,8 @@ def resolved(precision: str) -> str:
     if precision != "auto":
         return precision
     has = getattr(torch.cpu, "get_capabilities", dict)()
-    return "bf16" if any(has.get(name) for name in ("amx_bf16", "avx512_bf16", "bf16")) else "fp32"
+    fast = any(has.get(name) for name in ("amx_bf16", "avx512_bf16", "bf16"))
+    return "bf16" if fast and FUSED is not None else "fp32"  # oneDNN may have been told to do without
 
 
 def _mlp(width: int, sizes: tuple[int, ...], generator: torch.Generator, last_relu: bool = False) -> nn.Sequential:

@@ -1,5 +1,6 @@
 """What a run's numbers come from, played again: its network's test episodes, or ORCA's demonstrations."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +21,8 @@ from sfmrl.runs import Run
 from sfmrl.scenarios import sample_scenes
 from sfmrl.weights import load_weights
 
+TIMES = 0.05  # by how much an episode's time may differ, in half of the episodes, where the bits differ
+
 
 class Disagreement(Exception):
     """What does not agree, in words."""
@@ -27,15 +30,17 @@ class Disagreement(Exception):
 
 @dataclass(frozen=True)
 class Replay:
-    """How to play again: at most so many episodes, the share of them that may end otherwise, and on how many threads.
+    """How to play again: at most `episodes`, of which the share `tolerance` may end otherwise, on how many threads.
 
-    Its methods say what they found, or raise Disagreement.
+    `alike` says whether this machine computes the bits of the run. If so, an episode with another number of steps ends
+    otherwise, too; if not, times are held to `TIMES`. Its methods say what they found, or raise Disagreement.
     """
 
     episodes: int
     tolerance: float
     threads: int
     progress: Progress
+    alike: bool = True
 
     def demonstrations(self, run: Run) -> str:
         """The demonstrations that are kept, against ORCA's own in the same scenes."""
@@ -47,7 +52,7 @@ class Replay:
         scenes = sample_scenes(settings.environment, count, run.config.seed, phase="imitation")
         again = play_episodes(scenes, orca_policy, Reward(), simulation)  # whose paths depend on no reward
         kept = kept.take(np.arange(count))
-        differ = (kept.outcome != again.outcome) | (kept.steps != again.steps)
+        differ = self._differ(kept.outcome, again.outcome, kept.steps, again.steps)
         moments = again.position.shape[1]
         exact = np.array_equal(kept.position[:, :moments], again.position, equal_nan=True)
         return self._judged(differ, exact, f"of {settings.episodes} demonstrations, played by ORCA again,")
@@ -61,8 +66,8 @@ class Replay:
             return self._against_failures(record, _result(run), whole, what)
         kept = csv_rows(read_listed(run.folder / name).decode())[:count]
         again = [{key: str(value) for key, value in row.items()} for row in episode_rows(record)]
-        pairs = zip(kept, again, strict=True)
-        differ = np.array([any(one[key] != other[key] for key in ("outcome", "steps")) for one, other in pairs])
+        outcome, steps = (np.array([row[key] for row in kept]) for key in ("outcome", "steps"))
+        differ = self._differ(outcome, record.outcome, steps.astype(int), record.steps)
         return self._judged(differ, kept == again, what)
 
     def with_recovery(self, run: Run) -> str:
@@ -91,14 +96,24 @@ class Replay:
         kept = np.array(_outcomes(part, whole))[: len(record.steps)]
         return self._judged(kept != record.outcome, False, what)
 
+    def _differ(self, outcome: np.ndarray, outcome_again: np.ndarray, steps: np.ndarray, steps_again: np.ndarray):
+        """Which episodes (n,) ended otherwise; raises Disagreement where times differ by more than `TIMES`."""
+        differ = outcome != outcome_again
+        if self.alike:
+            return differ | (steps != steps_again)
+        off = np.abs(steps_again / np.maximum(steps, 1) - 1)[~differ]
+        if off.size and np.median(off) > TIMES:
+            raise Disagreement(f"half of the episodes take a time that differs by more than {TIMES:.0%}")
+        return differ
+
     def _judged(self, differ: np.ndarray, exact: bool, what: str) -> str:
         """What was found where `differ` (n,) marks the episodes that ended otherwise; raises Disagreement."""
         count, bad = len(differ), np.flatnonzero(differ)
         if not len(bad):
-            return f"{count} {what} end as they did" + (", with the same bits" if exact else "")
+            return f"{count} {what} end as they did" + (", to the same numbers" if exact else "")
         listed = ", ".join(map(str, bad[:8])) + (", ..." if len(bad) > 8 else "")
         said = f"{len(bad)} of the first {count} {what} end otherwise ({listed}); {self.tolerance:.0%} of them may"
-        if len(bad) > self.tolerance * count:
+        if len(bad) > math.ceil(round(self.tolerance * count, 6)):
             raise Disagreement(said)
         return said
 

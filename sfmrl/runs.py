@@ -30,6 +30,7 @@ import numpy as np
 import torch
 
 from sfmrl import __version__
+from sfmrl.bits import machine_bits
 from sfmrl.config import Config, ConfigError
 from sfmrl.files import (
     SUMS,
@@ -343,4 +344,5 @@ def versions() -> dict[str, str]:
         "torch": torch.__version__,
         "system": platform.platform(),
         "processor": torch.backends.cpu.get_cpu_capability(),
+        "bits": machine_bits(),
     }

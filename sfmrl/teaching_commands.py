@@ -87,7 +87,7 @@ def verify(
     tolerance: Annotated[
         float | None,
         number_option(
-            "share of them that may end otherwise (default 0, or 0.05 if versions or processor differ)", 0, 1
+            "share of them that may end otherwise (default 0, or 0.05 if this machine computes other bits)", 0, 1
         ),
     ] = None,
     trust_reward: TrustReward = False,
@@ -117,22 +117,19 @@ def verify(
     say_result(f"{run}: all {checked} agree{aside}")
 
 
-@app.command(epilog="Example: sfmrl doctor --no-test")
-def doctor(
-    test: Annotated[bool, option("test what sfmrl computes, some ten seconds (default on)", "--test/--no-test")] = True,
-) -> None:
-    """Look whether sfmrl works here: versions, processor, terminal, runs, and a self-test. Nothing is written.
+@app.command(epilog="Example: sfmrl doctor")
+def doctor() -> None:
+    """Check whether sfmrl works here: versions, terminal, ORCA, two threads, and the processor's bits. Writes nothing.
 
     Exit code 0 if all is well, else 1.
     """
-    from sfmrl.doctor import examine, self_test
+    from sfmrl.doctor import examine
 
     ill = []
-    for checks in (examine(out), *([self_test()] if test else [])):
-        for check in checks:
-            remedy = f"; {check.remedy}" if check.remedy and not check.good else ""
-            say_finding(check.what, check.good, check.said + remedy)
-            ill += [check.what] if check.good is False else []
+    for check in examine(out):
+        remedy = f"; {check.remedy}" if check.remedy and not check.good else ""
+        say_finding(check.what, check.good, check.said + remedy)
+        ill += [check.what] if check.good is False else []
     if ill:
         say(f"not ok: {', '.join(ill)}; what helps stands beside it")
         raise typer.Exit(1)

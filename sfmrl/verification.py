@@ -13,15 +13,13 @@ from sfmrl.config import ConfigError
 from sfmrl.files import SUMS, DamagedFile, read_sums
 from sfmrl.folders import BEST, DEMONSTRATIONS, MAP, TABLES, WEIGHTS, unfinished
 from sfmrl.layouts import DRAWN
-from sfmrl.network import resolved
 from sfmrl.own_code import UntrustedReward, reward_digest, trusted
 from sfmrl.progress import Progress
 from sfmrl.run_replay import Disagreement, Replay, result
 from sfmrl.runs import CHECKPOINT, Run, open_run, versions
 from sfmrl.weights import load_weights
 
-ELSEWHERE = 0.05  # share of episodes that may end otherwise under other versions, or on another processor
-DECIDING = ("sfmrl", "numpy", "torch", "processor")  # of `versions`, what the bits depend on
+ELSEWHERE = 0.05  # share of episodes that may end otherwise where this machine does not compute the bits of the run
 ODD = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError)  # what odd content leads its readers to
 
 
@@ -46,8 +44,8 @@ def verify(
     """Findings on a run folder, one after another; of test episodes, or demonstrations, `episodes` are replayed.
 
     A reward that is Python code is run only with `trust_reward`, and if it is the file that the run was trained with.
-    `tolerance` is the share of them that may end otherwise: by default none, or `ELSEWHERE` where versions or processor
-    are not those of the run. Raises ConfigError where there is no run folder.
+    `tolerance` is the share of them that may end otherwise: by default none, or `ELSEWHERE` where this machine does not
+    compute the bits of the run. Raises ConfigError where there is no run folder.
     """
     if tolerance is not None and not 0 <= tolerance <= 1:
         raise ConfigError(f"--tolerance is {tolerance:g}; it takes a share, from 0 to 1")
@@ -68,20 +66,22 @@ def verify(
         run = replace(run, config=trusted(run.config, own.agrees is True))
     here = _finding("versions", _versions, run)
     yield here
-    allowed = (ELSEWHERE if here.agrees is None else 0.0) if tolerance is None else tolerance
-    replay = Replay(episodes, allowed, threads, progress)
+    alike = here.agrees is True
+    allowed = (0.0 if alike else ELSEWHERE) if tolerance is None else tolerance
+    replay = Replay(episodes, allowed, threads, progress, alike)
     yield from (_imitation if run.kind == "il" else _reinforcement)(run, replay)
 
 
 def _versions(run: Run) -> str | Finding:
-    """In what this place differs from where a run was made, as far as the numbers' last bits depend on it."""
+    """Whether this machine computes the bits of the one that the run was made on, as far as a short test can tell."""
     made, here = run.facts["versions"], versions()
-    found = [f"{name} {made.get(name)}, here {here[name]}" for name in DECIDING if made.get(name) != here[name]]
-    if run.config.precision == "bf16" and resolved("auto") != "bf16":
-        found.append("trained in bfloat16, which this processor does not have")
-    if found:
-        return Finding("versions", None, f"{'; '.join(found)}: numbers may differ here")
-    return "those of the run, so its numbers must be the same here"
+    if all(made.get(name) == here[name] for name in ("sfmrl", "bits")):
+        return f"sfmrl {here['sfmrl']} and bits {here['bits']}, as the run: episodes must end as they did"
+    differ = ("sfmrl", "bits", "numpy", "torch", "processor")
+    found = [
+        f"{name} {made.get(name, 'unknown')}, here {here[name]}" for name in differ if made.get(name) != here[name]
+    ]
+    return Finding("versions", None, f"{'; '.join(found)}: some episodes may end otherwise here")
 
 
 def _finding(what: str, check: Callable[..., str | Finding], *given: Any) -> Finding:

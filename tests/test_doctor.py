@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 from rich.console import Console
+from sfmrl.self_test import TESTS, Failure
 
 from sfmrl import doctor, self_test, teaching_commands
 from sfmrl.config import Config
@@ -13,7 +14,6 @@ from sfmrl.gradients import loss_and_gradients
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import linear_policy
 from sfmrl.scenarios import sample_scenes
-from sfmrl.self_test import TESTS, Failure
 from sfmrl.weights import save_weights
 
 

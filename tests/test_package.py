@@ -28,6 +28,7 @@ LEVELS = (
         "sfm",
         "states",
         "network",
+        "bits",
         "weights",
         "gradients",
         "models",
@@ -51,7 +52,7 @@ LEVELS = (
     ("sweeps", "evaluation", "memory", "learning", "learner", "exploration", "runs", "imitation", "reinforcement"),
     ("tables", "results", "findings", "reports", "comparison", "campaign", "cluster"),
     ("canvas", "story", "timeline", "panel", "plane", "layout", "screen", "replay", "exports", "curves"),
-    ("explanation", "run_replay", "verification", "self_test", "doctor"),
+    ("explanation", "run_replay", "verification", "doctor"),
     (
         "completion",
         "options",
@@ -68,7 +69,7 @@ LEVELS = (
     ),
 )
 ORDER = [name for level in LEVELS for name in level]
-WITH_TORCH = {"network", "weights", "gradients", "memory", "learning", "exploration", "runs", "self_test"}
+WITH_TORCH = {"network", "bits", "weights", "gradients", "memory", "learning", "exploration", "runs"}
 PACKAGE = sorted((ROOT / "sfmrl").glob("*.py"))
 MODELS = sorted((ROOT / "sfmrl" / "models").iterdir())
 FILES = [path for path in PACKAGE if path.stem not in ("__init__", "__main__")]

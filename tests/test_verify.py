@@ -6,8 +6,10 @@ import json
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -80,9 +82,9 @@ def test_what_sfmrl_left_agrees(handed_in):
     found = findings(handed_in / "rl")
     assert {name for name, finding in found.items() if not finding.agrees} == set()
     assert {"replay", "best replay", "recovery", "tables", "imitation"} <= set(found)
-    assert "with the same bits" in found["replay"].said
+    assert "to the same numbers" in found["replay"].said
     assert wrong(handed_in / "il") == set()
-    assert "with the same bits" in findings(handed_in / "il")["demonstrations"].said
+    assert "to the same numbers" in findings(handed_in / "il")["demonstrations"].said
 
 
 def test_fewer_episodes_leave_the_recovery_s_test_untold(handed_in):
@@ -190,14 +192,45 @@ def test_a_reward_in_a_python_file_is_run_only_if_trusted_and_unchanged(copy, tm
     assert not mark.exists()
 
 
-def test_other_versions_are_named_and_allowed_for(copy):
-    run = copy / "rl"
-    rewrite(run / "run.json", lambda text: text.replace(f'"torch": "{torch.__version__}"', '"torch": "1.0"'))
+def remade(run: Path, change: Callable[[dict], object]) -> dict[str, Finding]:
+    """Findings on a run whose versions are changed, with digests anew."""
+    facts = json.loads((run / "run.json").read_text())
+    change(facts["versions"])
+    (run / "run.json").write_text(json.dumps(facts))
     forge_sums(run)
-    found = findings(run)
+    return findings(run)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda made: made.update(bits="0123456789ab", torch="1.0"), f"torch 1.0, here {torch.__version__}"),
+        (lambda made: made.pop("bits"), "bits unknown, here "),
+        (lambda made: made.update(sfmrl="0.0.1"), "sfmrl 0.0.1, here "),
+    ],
+    ids=["other bits", "from before bits were recorded", "another sfmrl"],
+)
+def test_a_run_from_a_machine_of_other_bits_is_told_and_allowed_for(copy, change, named):
+    found = remade(copy / "rl", change)
     assert {name for name, finding in found.items() if finding.agrees is False} == set()
     assert found["versions"].agrees is None
-    assert f"torch 1.0, here {torch.__version__}" in found["versions"].said
+    assert named in found["versions"].said
+
+
+def test_equal_bits_make_the_numbers_equal_whatever_the_versions(copy):
+    found = remade(copy / "rl", lambda made: made.update(torch="1.0", processor="another"))
+    assert found["versions"].agrees is True
+
+
+def test_where_bits_differ_outcomes_and_times_are_held_to_a_tolerance():
+    same, ends = Replay(40, 0.0, 1, no_progress), np.array(["success"] * 38 + ["timeout"] * 2)
+    other = replace(same, tolerance=0.05, alike=False)
+    steps = np.full(40, 40)
+    later = steps + 30 * (np.arange(40) < 15)
+    assert same._differ(ends, ends, steps, later).sum() == 15
+    assert other._differ(ends, ends, steps, later).sum() == 0
+    with pytest.raises(Disagreement, match="a time that differs"):
+        other._differ(ends, ends, steps, steps + 3)
 
 
 @pytest.mark.parametrize(
