@@ -1,7 +1,7 @@
 """The same trainings on a Ray cluster (the extra "ray"): folders travel with the jobs, and come back when they end.
 
 A worker needs sfmrl installed and nothing else, no common file system. What a lost worker was training is trained again
-elsewhere, to the same bits where the processors are of one kind.
+elsewhere, to the same bits where that machine computes the same (`sfmrl doctor` shows a digest).
 """
 
 import io

@@ -251,7 +251,7 @@ WRONG_USE = [
     (("verify", "nowhere"), ("nowhere does not exist",)),
     (("verify", ".", "--tolerance", "2"), ("--tolerance", "2.0 is not from 0 to 1")),
     (("figure", "1", "--preset", "papre"), ("choose paper, quick",)),
-    (("doctor", "--tests"), ("--test",)),
+    (("doctor", "--hlp"), ("--help",)),
 ]
 
 
@@ -450,7 +450,7 @@ def test_help_answers_without_numpy_or_torch(command):
     assert done.stderr.strip() == "[]"
     assert "Usage" in done.stdout
     if command:
-        assert "default" in done.stdout
+        assert "default" in done.stdout or command == "doctor"  # which takes no options
         assert "Example: sfmrl" in done.stdout
 
 
@@ -552,7 +552,7 @@ def test_every_command_has_an_example_that_can_be_typed(name):
     program, command, *words = shlex.split(line)
     assert (program, command) == ("sfmrl", name)
     context = COMMANDS[name].make_context(f"sfmrl {name}", words)  # parsed as it would be, but not run
-    assert context.params
+    assert context.params or name == "doctor"  # which takes none
 
 
 def completed(in_process: Call, monkeypatch, *words: str) -> set[str]:
