@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from sfmrl.bits import machine_bits
 from sfmrl.evaluation import evaluation_record, metrics
 from sfmrl.models import FOLDER
 from sfmrl.policies import WEIGHTS, load_policy
@@ -44,7 +45,8 @@ def write_card(card: dict[str, Any], episodes: int) -> None:
     policy = load_policy(FOLDER / f"{card['name']}.pt")
     helped, outcomes = figures(policy, card["environment"], episodes)
     alone, _ = figures(policy.original, card["environment"], episodes)
-    card = card | {"alone": alone, "with_recovery": helped, "outcomes": "".join(outcome[0] for outcome in outcomes)}
+    card = card | {"bits": machine_bits(), "alone": alone, "with_recovery": helped}
+    card["outcomes"] = "".join(outcome[0] for outcome in outcomes)
     (FOLDER / f"{card['name']}.json").write_text(json.dumps(card, indent=2) + "\n")
     found = f"alone {alone['success']:.3f}, with recovery {helped['success']:.3f}"
     print(f"{card['name']}: seed {card['seed']}, {found}", flush=True)

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from sfmrl import models
+from sfmrl.bits import machine_bits
 from sfmrl.evaluation import evaluation_record
 from sfmrl.files import DamagedFile
 from sfmrl.intervals import wilson
 from sfmrl.models import model_card, model_names, model_weights
-from sfmrl.network import resolved
 from sfmrl.policies import load_policy
-from sfmrl.runs import versions
 from sfmrl.tables import TABLES
 from sfmrl.variants import make_config, variant_name
 from sfmrl.weights import load_weights
@@ -46,16 +45,12 @@ def test_a_model_is_what_its_card_says(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_model_does_on_100_episodes_what_its_card_says(name):
-    """To the episode with the card's versions, processor and precision; elsewhere rounding changes a few."""
+    """To the episode where this machine computes the bits of the one that tested it; elsewhere three may differ."""
     card = model_card(name)
     record = evaluation_record(load_policy(name), episodes=100)
     outcomes = "".join(outcome[0] for outcome in record.outcome)
-    here = versions()
-    alike = all(here[key] == card["versions"][key] for key in ("numpy", "torch", "processor"))
-    if alike and resolved("auto") == card["precision"]:
-        assert outcomes == card["outcomes"]
-    else:
-        assert sum(a != b for a, b in zip(outcomes, card["outcomes"], strict=True)) <= 3
+    allowed = 0 if card.get("bits") == machine_bits() else 3  # older cards do not name any bits
+    assert sum(a != b for a, b in zip(outcomes, card["outcomes"], strict=True)) <= allowed
     assert np.mean(record.outcome == "success") >= 0.95
 
 
