@@ -1,6 +1,7 @@
 """The command line: thin commands that parse, call and print. Results on standard output, all else on standard error.
 
-Exit codes: 0 done, 1 failed, 2 wrong use, 130 interrupted. NumPy and torch are imported by the commands that need them.
+Exit codes: 0 done, 1 failed, 2 wrong use, 130 interrupted (by Ctrl-C, SIGTERM or SIGHUP). NumPy and torch are imported
+by the commands that need them.
 """
 
 import sys
@@ -20,6 +21,9 @@ from sfmrl.config import ConfigError
 from sfmrl.console import say, say_result
 from sfmrl.files import DamagedFile
 from sfmrl.greeting import greeting
+from sfmrl.stopping import Interrupted
+
+INTERRUPTED = 130
 
 LONGEST = 1000  # characters of an error's line: a value that was given may have thousands
 
@@ -48,20 +52,21 @@ def main() -> None:
     """The `sfmrl` command: every expected failure is one line on standard error."""
     try:
         code = app(standalone_mode=False)
+        reason = "interrupted" if code == INTERRUPTED else ""
     except typer.TyperException as error:
         where = getattr(getattr(error, "ctx", None), "command_path", "sfmrl")
         code, reason = 2, f"{error.format_message().rstrip('.')}; see {where} --help"
     except (ConfigError, DamagedFile) as error:
         code, reason = 2, str(error)
+    except Interrupted as error:
+        code, reason = INTERRUPTED, f"interrupted; {error}"
     except (KeyboardInterrupt, typer.Abort):
-        code, reason = 130, "interrupted"
+        code, reason = INTERRUPTED, "interrupted"
     except MemoryError as error:
         said = "ask for fewer --episodes at a time, a shorter --time-limit, or a smaller --memory"
         code, reason = 1, f"out of memory; {said} ({error})"
     except OSError as error:
         code, reason = 1, f"{error.filename or ''}: {error.strerror or error}".strip(": ")
-    else:
-        reason = ""
     if reason:
         line = " ".join(reason.splitlines())
         say(f"sfmrl: {line if len(line) <= LONGEST else line[:LONGEST] + ' ...'}")

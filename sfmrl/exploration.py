@@ -26,6 +26,7 @@ from sfmrl.learner import Learner
 from sfmrl.lookahead import SarlPolicy, step_discount
 from sfmrl.network import Sizes, ValueNetwork, new_network
 from sfmrl.scenarios import generator, sample_scenes
+from sfmrl.stopping import SIGNALS, held_back
 
 Explored = tuple[Record, np.ndarray]
 
@@ -43,7 +44,8 @@ class Explorer:
         if aside:
             spawn = multiprocessing.get_context("spawn")  # a fork would inherit torch's threads in the middle of work
             self._pool = ProcessPoolExecutor(1, spawn, _prepare)
-            self._pool.submit(_policy, config, threads, sizes)  # all that takes time before the first episode
+            with held_back():  # what the new process inherits: its imports are not interrupted
+                self._pool.submit(_policy, config, threads, sizes)  # all that takes time before the first episode
 
     def __enter__(self) -> "Explorer":
         return self
@@ -84,7 +86,7 @@ class Explorer:
 
 def _prepare() -> None:
     """Leave signals to the process that asked for this one, and end with it."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()

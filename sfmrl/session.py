@@ -6,8 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import typer
-
 from sfmrl.config import Config, ConfigError, override
 from sfmrl.console import err, say
 from sfmrl.variants import make_config
@@ -66,7 +64,7 @@ def use_threads(threads: int | None) -> int:
 
 
 def train(run: Any, work: Callable[..., Any]) -> Any:
-    """Do a training's work; when it is asked to stop, say how to go on and exit with 130."""
+    """Do a training's work; raises Interrupted, which says how to go on, when it is asked to stop."""
     from sfmrl.own_code import reward_digest
     from sfmrl.progress import show_progress
     from sfmrl.rewards import REWARDS, reward_terms
@@ -86,8 +84,7 @@ def train(run: Any, work: Callable[..., Any]) -> Any:
         try:
             return work(show_progress(err), stop)
         except (Interrupted, KeyboardInterrupt):
-            say(f"interrupted; go on with: {how}")
-            raise typer.Exit(130) from None
+            raise Interrupted(f"go on with: {how}") from None
         except OSError as error:  # as where the disk is full
             raise OSError(error.errno, f"{error.strerror}; then go on with: {how}", error.filename) from None
 

@@ -1,25 +1,41 @@
-"""Ctrl-C and SIGTERM as requests: a training ends where all is kept."""
+"""Turn Ctrl-C, SIGTERM and SIGHUP into a request to stop at the next checkpoint."""
 
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from sfmrl.progress import Progress
 
+SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+@contextmanager
+def held_back() -> Iterator[None]:
+    """Block these signals until the end of the block; processes that are started in it are born with them blocked."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
 
 class Interrupted(Exception):
-    """A training was asked to stop and has kept all it needs to go on."""
+    """A training was asked to stop and has kept all it needs to go on; its text says how."""
 
 
 class StopSignal:
-    """Turns the first Ctrl-C or SIGTERM into a request that a training looks for; the second acts at once."""
+    """Turns the first Ctrl-C, SIGTERM or SIGHUP into a request that a training looks for; the second acts at once."""
 
     def __init__(self, say: Callable[[str], None] = lambda text: None) -> None:
         self.requested = False
         self._say = say
 
     def __enter__(self) -> "StopSignal":
-        self._before = {number: signal.signal(number, self._note) for number in (signal.SIGINT, signal.SIGTERM)}
+        heard = [number for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN]  # nohup's stays ignored
+        self._before = {number: signal.signal(number, self._note) for number in heard}
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -30,7 +46,8 @@ class StopSignal:
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True
-        self._say("stopping as soon as all is kept; once more stops at once")
+        with suppress(OSError):  # a terminal that has gone cannot be written to
+            self._say("stopping as soon as all is kept; once more stops at once")
 
     def watch(self, progress: Progress) -> Progress:
         """`progress` that raises Interrupted once a stop is requested, for work of which nothing need be kept."""

@@ -115,7 +115,7 @@ def _known(preset: str) -> None:
 
 
 def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:
-    """Run what is not finished yet; exits with 130 where it was interrupted, with 1 where some failed."""
+    """Run what is not finished yet; raises Interrupted, or exits with 1 where some failed."""
     from sfmrl.campaign import Failed, run_jobs
     from sfmrl.cluster import put_right, run_on_ray
     from sfmrl.lookahead import available_cores
@@ -131,8 +131,7 @@ def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:
             else:
                 run_jobs(trainings, side_by_side or available_cores(), show_progress(err), stop, say)
         except (Interrupted, KeyboardInterrupt):
-            say("interrupted; go on with the same command")
-            raise typer.Exit(130) from None
+            raise Interrupted("go on with the same command") from None
         except Failed as error:
             say(f"sfmrl: {error}; the same command tries them again")
             raise typer.Exit(1) from None
