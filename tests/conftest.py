@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from code import InteractiveConsole
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,6 +24,21 @@ def environment() -> dict[str, str]:
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
     plain = {name: value for name, value in os.environ.items() if name not in ("FORCE_COLOR", "TTY_COMPATIBLE")}
     return plain | {"PYTHONPATH": path, "NO_COLOR": "1", "COLUMNS": "100", "LINES": "30", "PYTHONIOENCODING": "utf-8"}
+
+
+class Interpreter(InteractiveConsole):
+    """`python` as a user types into it, with no names but its own; an error ends the test."""
+
+    def showtraceback(self) -> None:
+        raise
+
+    def showsyntaxerror(self, *_: object, **__: object) -> None:
+        raise
+
+    def paste(self, block: str) -> None:
+        """Type a block line by line, and an empty line in the end, without which a loop would wait for more."""
+        waits = [self.push(line) for line in [*block.splitlines(), ""]]
+        assert not waits[-1], block
 
 
 @pytest.fixture

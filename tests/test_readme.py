@@ -3,19 +3,19 @@
 import re
 import shlex
 
-from conftest import ROOT
+from conftest import ROOT, Interpreter
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 COMMANDS = "il|rl|eval|compare|ascii-render|explain|models|table|figure|verify|doctor"
 BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL)
 
 
-def test_the_python_blocks_run(tmp_path, monkeypatch, capsys):
+def test_the_python_blocks_run_as_they_are_pasted(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     blocks = [code for language, code in BLOCKS if language == "python"]
     assert len(blocks) >= 2
     for code in blocks:
-        exec(compile(code, "README.md", "exec"), {"__name__": "readme"})
+        Interpreter().paste(code)
     assert "success" in capsys.readouterr().out
 
 

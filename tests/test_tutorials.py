@@ -1,11 +1,13 @@
 """The tutorials do as they are printed: every block is run in order, and what it prints is what the page shows.
 
-Of a page, all Python blocks share their names and all commands a folder; a block that begins with "# NAME.py" is saved
-under that name, too. A `text` block after a block is its output; a line of "..." in it stands for any number of
-lines. Blocks under `<!-- minutes -->` take too long to be run here. Where this machine computes other bits than the one
-that the pages were made on, which tutorials/README.md names, what is printed has to be near to what is shown.
+The blocks are run as a reader does: Python is pasted line by line into one interactive interpreter a page, commands are
+typed in a shell, both in an empty folder. A block that begins with "# NAME.py" is saved under that name, too. A `text`
+block after a block is its output; a line of "..." in it stands for any number of lines. Blocks under `<!-- minutes -->`
+take too long to be run here. Where this machine computes other bits than the one that the pages were made on, which
+tutorials/README.md names, what is printed has to be near to what is shown.
 """
 
+import csv
 import os
 import re
 import subprocess
@@ -13,7 +15,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import ROOT, environment
+from conftest import ROOT, Interpreter, environment
 from nearness import near
 
 from sfmrl.bits import machine_bits
@@ -64,14 +66,13 @@ def place(tmp_path: Path, monkeypatch) -> Path:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
 def test_a_page_does_what_it_shows(page, place, capsys):
-    names = {"__name__": page.stem, "tutorials": page.parent}
-    blocks = runs(page)
+    python, blocks = Interpreter(), runs(page)
     assert blocks
     for language, code, shown in blocks:
         if language == "python":
             if saved := re.match(r"# (\w+\.py)\n", code):
                 Path(saved[1]).write_text(code)
-            exec(compile(code, page.name, "exec"), names)
+            python.paste(code)
             printed = capsys.readouterr().out
         else:
             done = subprocess.run(["bash", "-e", "-c", code], capture_output=True, text=True, check=False)
@@ -79,6 +80,15 @@ def test_a_page_does_what_it_shows(page, place, capsys):
             printed = done.stdout
         agrees = same if made_alike() else near
         assert shown is None or agrees(shown, printed), f"{code}\nprinted\n{printed}\ninstead of\n{shown}"
+
+
+def test_what_a_page_needs_of_the_tables_is_what_they_hold():
+    page = (ROOT / "tutorials" / "14-reading-results.md").read_text(encoding="utf-8")
+    with open(ROOT / "tutorials" / "results" / "table1-quick.csv", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["metric"] == "success" and row["seed"] != "all"]
+    for name in ("sarl", "sarl-sfm2"):
+        values = [f"{float(row['value']):.3f}" for row in rows if row["row"] == name]
+        assert f'"{name}": [{", ".join(values)}]' in page
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
