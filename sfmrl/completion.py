@@ -1,14 +1,10 @@
-"""What the shell completes: names of policies, environments, rewards and runs, without importing NumPy or torch."""
+"""What the shell completes: names of policies, environments, rewards and runs; NumPy is imported where it is needed."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from sfmrl.folders import KINDS, finished, in_training, run_folders
 from sfmrl.variants import MIXES, VARIANTS
-
-ENVIRONMENTS = ("1", "2", "3", "4", "5", "circle", "circle5", "maps", *MIXES)
-REWARDS = ("crowd", "sfm", "sfm-discount")
-POLICIES = ("linear", "orca", "sfm")
 
 Completion = Callable[[str], list[str]]
 
@@ -18,12 +14,27 @@ def among(*names: str) -> Completion:
     return lambda incomplete: _fitting(names, incomplete)
 
 
-variants, environments, rewards = among(*VARIANTS), among(*ENVIRONMENTS), among(*REWARDS)
+variants = among(*VARIANTS)
+
+
+def environments(incomplete: str) -> list[str]:
+    """Environments, and the mixes of the paper's tables."""
+    from sfmrl.scenarios import ENVIRONMENTS
+
+    return _fitting([*ENVIRONMENTS, *MIXES], incomplete)
+
+
+def rewards(incomplete: str) -> list[str]:
+    """The rewards with a name."""
+    from sfmrl.rewards import REWARDS
+
+    return _fitting(REWARDS, incomplete)
 
 
 def policies(incomplete: str) -> list[str]:
     """The policies with a name, networks that come with sfmrl, and the finished runs."""
     from sfmrl.models import model_names
+    from sfmrl.policies import POLICIES
 
     return _fitting([*POLICIES, *model_names(), *_runs(*KINDS, ended=True)], incomplete)
 

@@ -64,22 +64,24 @@ def replay_command(
     trust_reward: bool = False,
 ) -> str:
     """What to type to see a test episode; `place` is --environment or --map and its value, None if the policy's."""
-    words = [
-        "sfmrl ascii-render",
-        shlex.quote(policy) if policy else "",
-        f"--versus {shlex.quote(versus)}" if versus else "",
-        f"{place[0]} {shlex.quote(str(place[1]))}" if place else "",
-        f"--seed {seed} --episode {episode}",
-        "--trust-reward" if trust_reward else "",
-    ]
-    for section in settings.values():
-        words += [
-            f"--{name.replace('_', '-')} {value}" for name, value in section.items() if not isinstance(value, bool)
-        ]
-        words += [
-            f"--{'' if on else 'no-'}{name.replace('_', '-')}" for name, on in section.items() if isinstance(on, bool)
-        ]
-    return " ".join(word for word in words if word)
+    words = ["sfmrl", "ascii-render", *([policy] if policy else []), *(["--versus", versus] if versus else [])]
+    words += [*(place or ()), "--seed", seed, "--episode", episode, *as_options(settings)]
+    words += ["--trust-reward"] if trust_reward else []
+    return shlex.join(map(str, words))
+
+
+def as_options(settings: dict[str, Any]) -> list[str]:
+    """Settings, nested as `config.override` takes them, as the words to type."""
+    words = []
+    for name, value in settings.items():
+        flag = name.replace("_", "-")
+        if isinstance(value, dict):
+            words += as_options(value)
+        elif isinstance(value, bool):
+            words.append(f"--{flag}" if value else f"--no-{flag}")
+        else:
+            words += [f"--{flag}", str(value)]
+    return words
 
 
 def print_metrics(result: dict[str, Any], title: str) -> None:

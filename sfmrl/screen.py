@@ -2,7 +2,7 @@
 
 What a key does is a pure function of the player; the rest is Rich's live display on the terminal's second screen and,
 where standard input is a terminal on a system that has termios, one key at a time from it. A terminal that changes its
-size is drawn on anew. It is put back however the playing ends.
+size is drawn on anew. The terminal is restored however playback ends, by a key or by a signal.
 """
 
 import os

@@ -1,5 +1,7 @@
 """The commands that train: `sfmrl il`, `sfmrl rl`."""
 
+import shlex
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -7,7 +9,7 @@ import typer
 
 from sfmrl import completion
 from sfmrl.config import Config, ConfigError
-from sfmrl.console import print_metrics, say
+from sfmrl.console import as_options, print_metrics, say
 from sfmrl.options import (
     Continue,
     MapFile,
@@ -51,13 +53,11 @@ def il(
     if go_on and finished(current):
         return
     train(current, lambda progress, stop: imitate(current, progress, stop, threads=workers))
-    plain, config = Config(), current.config
-    flags = "".join(
-        f" --{name} {getattr(config, name)}"
-        for name in ("preset", "seed")
-        if getattr(config, name) != getattr(plain, name)
-    )
-    say(f"done: {current.folder}; next: sfmrl rl --reward sfm{flags}, or sfmrl eval {current.folder}")
+    folder, plain, made = str(current.folder), asdict(Config()), asdict(current.config)
+    needed = {name: made[name] for name in ("preset", "seed") if made[name] != plain[name]}
+    needed |= {name: value for name, value in made["simulation"].items() if value != plain["simulation"][name]}
+    reinforce = shlex.join(["sfmrl", "rl", "--reward", "sfm", "--from", folder, *as_options(needed)])
+    say(f"done: {folder}; next: {reinforce}, or {shlex.join(['sfmrl', 'eval', folder])}")
 
 
 @app.command(epilog="Example: sfmrl rl --reward sfm --episodes 3000")
@@ -116,4 +116,5 @@ def rl(
     print_metrics(result, f"test of {title}, the network alone")
     if "with_recovery" in result:
         print_metrics(result["with_recovery"], f"test of {title}")
-    say(f"done: {current.folder}; next: sfmrl eval, sfmrl ascii-render")
+    folder = shlex.quote(str(current.folder))
+    say(f"done: {current.folder}; next: sfmrl eval {folder}, sfmrl ascii-render {folder}")

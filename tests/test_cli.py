@@ -21,7 +21,7 @@ import torch
 import typer
 from conftest import ROOT, environment
 
-from sfmrl import __version__, cli, completion
+from sfmrl import __version__, cli
 from sfmrl.cli import app, main
 from sfmrl.config import Config, ConfigError, Imitation, Planner, Reinforcement, Reward, Simulation, SocialForce
 from sfmrl.folders import locked
@@ -29,8 +29,8 @@ from sfmrl.models import model_names
 from sfmrl.network import Sizes, ValueNetwork
 from sfmrl.policies import POLICIES
 from sfmrl.rewards import REWARDS
-from sfmrl.scenarios import ENVIRONMENTS, parse_mix
-from sfmrl.variants import PRESETS, VARIANTS, make_config
+from sfmrl.scenarios import ENVIRONMENTS
+from sfmrl.variants import MIXES, PRESETS, VARIANTS, make_config
 from sfmrl.weights import load_weights
 
 Call = Callable[..., subprocess.CompletedProcess]
@@ -65,7 +65,7 @@ def assert_one_line_error(done: subprocess.CompletedProcess, *words: str) -> Non
 def test_from_imitation_to_replay(sfmrl: Call, tmp_path: Path):
     il = sfmrl("il", *TINY_IL)
     assert (il.returncode, il.stdout) == (0, "")
-    assert "done: runs/il-sarl-seed0; next: sfmrl rl" in il.stderr
+    assert "done: runs/il-sarl-seed0; next: sfmrl rl --reward sfm --from runs/il-sarl-seed0, or sfmrl eval" in il.stderr
 
     rl = sfmrl("rl", "--reward", "sfm", *TINY_RL)
     assert rl.returncode == 0, rl.stderr
@@ -356,13 +356,26 @@ def test_a_damaged_run_is_one_line_too(sfmrl: Call, tmp_path: Path):
         assert_one_line_error(sfmrl("eval", "il"), f"il/{name} is damaged")
 
 
-def test_results_go_to_standard_output_and_what_to_do_next_to_standard_error(sfmrl: Call):
-    done = sfmrl("eval", "orca", "--environment", "2", "--episodes", "6", "--reward", "sfm", "--no-robot-visible")
+def test_what_to_type_next_can_be_typed(sfmrl: Call, tmp_path: Path):
+    """It names the run just made, whatever its name, and what its demonstrations were made under."""
+    done = sfmrl("il", *TINY_IL, "--run", "my run", "--seed", "2", "--time-limit", "14", "--no-robot-visible")
+    reinforce, test = re.findall(r"sfmrl (.*?)(?=, or|$)", done.stderr.splitlines()[-1])
+    done = sfmrl(*shlex.split(reinforce), *TINY_RL, "--threads", "1", "--run", "it's")
+    assert done.returncode == 0, done.stderr
+    assert "from imitation run my run" in done.stderr
+    for words in (test, *re.findall(r"sfmrl (.*?)(?=, |$)", done.stderr.splitlines()[-1])):
+        assert shlex.split(words)[1] == ("my run" if words is test else "it's")
+
+
+def test_results_go_to_standard_output_and_what_to_do_next_to_standard_error(sfmrl: Call, tmp_path: Path):
+    (tmp_path / "my reward.py").write_text("def none(transition, settings):\n    return 0 * transition.time\n")
+    reward = ("--reward", "my reward.py:none")
+    done = sfmrl("eval", "orca", "--environment", "2", "--episodes", "6", *reward, "--no-robot-visible")
     assert done.returncode == 0
     assert re.search(r"all\s+│\s+0\.\d{3}", done.stdout)
     line = done.stderr.splitlines()[-1]
     assert "failed; see one: sfmrl ascii-render orca --environment 2 --seed 0 --episode" in line
-    shown = sfmrl(*line.partition("see one: sfmrl ")[2].split(), "--frames", "1")
+    shown = sfmrl(*shlex.split(line.partition("see one: sfmrl ")[2]), "--frames", "1")
     assert shown.returncode == 0, shown.stderr
     assert shown.stdout.strip()
 
@@ -488,12 +501,10 @@ def lay_runs(folder: Path, *runs: tuple[str, str, bool]) -> None:
 
 STANDS = {
     "no runs": ((), ["sfmrl il && sfmrl rl --reward sfm", "sfmrl ascii-render sarl-sfm6"]),
-    "imitation alone": ([("a", "il", True)], ["sfmrl rl --reward sfm  ", "sfmrl ascii-render runs/a"]),
-    "of another preset": ([("paper", "il", True)], ["sfmrl rl --reward sfm --preset paper --seed 3"]),
     "trained": ([("a", "il", True), ("b", "rl", True)], ["sfmrl eval runs/b", "sfmrl ascii-render runs/b"]),
-    "stopped": ([("a", "il", True), ("b c", "rl", False)], ["sfmrl rl --resume 'runs/b c'", "sfmrl rl --reward"]),
+    "stopped": ([("a", "il", True), ("b c", "rl", False)], ["sfmrl rl --resume 'runs/b c'", "sfmrl eval runs/a"]),
     "stopped at once": ([("a", "il", False)], ["sfmrl il --resume runs/a", "sfmrl ascii-render sarl-sfm6"]),
-    "stopped before": ([("a", "rl", False), ("b", "rl", True)], ["runs/b is trained", "sfmrl eval runs/b"]),
+    "stopped before": ([("a", "rl", False), ("b c", "rl", True)], ["sfmrl eval 'runs/b c'"]),
 }
 
 
@@ -506,7 +517,7 @@ def test_sfmrl_alone_says_what_to_type_next(in_process: Call, tmp_path: Path, st
     assert all(words in done.stdout for words in said), done.stdout
     assert len(done.stdout.splitlines()) <= 8
     assert max(map(len, done.stdout.splitlines())) <= 80
-    for line in re.findall(r"^  (sfmrl .*?)(?:  |$)", done.stdout, re.MULTILINE):
+    for line in re.findall(r"(?:^  |: )(sfmrl .*?)(?:  |$)", done.stdout, re.MULTILINE):
         for words in (shlex.split(part)[1:] for part in line.split("&&")):  # what it says can be typed
             if words[0] != "--help":
                 known = {flag for parameter in COMMANDS[words[0]].params for flag in parameter.opts}
@@ -518,7 +529,7 @@ def test_sfmrl_alone_says_what_is_being_trained_now(in_process: Call, tmp_path: 
     with locked(tmp_path / "runs" / "b"):
         said = in_process().stdout
         assert completion.unfinished_runs("runs/") == []
-    assert "runs/b is being trained now." in said
+    assert "runs/b is being trained now" in said
     assert "--resume" not in said
     assert "sfmrl ascii-render runs/a" in said
     assert completion.unfinished_runs("runs/") == ["runs/b"]
@@ -528,7 +539,7 @@ def test_runs_that_cannot_be_read_do_not_keep_sfmrl_from_greeting(in_process: Ca
     lay_runs(tmp_path, ("a", "il", True), ("b", "rl", True))
     (tmp_path / "runs" / "b" / "run.json").write_bytes(b"\xff")
     (tmp_path / "runs" / "a" / "config.json").write_text("null")
-    assert "runs/a has learnt from ORCA" in in_process().stdout
+    assert "sfmrl eval runs/a" in in_process().stdout
 
 
 @pytest.mark.parametrize("words", [[], ["--version"]])
@@ -571,7 +582,8 @@ def test_the_shell_completes_commands_names_and_runs(in_process: Call, monkeypat
         (("il", "--variant", "sarl-"), {name for name in VARIANTS if name.startswith("sarl-")}),
         (("il", "--preset", ""), set(PRESETS)),
         (("rl", "--test-environment", "t"), {"table1", "table2"}),
-        (("eval", "orca", "--environment", ""), set(completion.ENVIRONMENTS)),
+        (("rl", "--reward", "sfm"), {name for name in REWARDS if name.startswith("sfm")}),
+        (("eval", "orca", "--environment", ""), {*ENVIRONMENTS, *MIXES}),
         (("eval", "orca", "--crowd", ""), {"orca", "sfm"}),
         (("eval", ""), {*POLICIES, *model_names(), "runs/a", "runs/b"}),
         (("eval", "runs/"), {"runs/a", "runs/b"}),
@@ -580,13 +592,6 @@ def test_the_shell_completes_commands_names_and_runs(in_process: Call, monkeypat
         (("verify", ""), {"runs/a", "runs/b", "runs/c"}),
     ):
         assert completed(in_process, monkeypatch, *words) == offered, words
-
-
-def test_what_the_shell_is_offered_is_what_there_is():
-    assert set(completion.REWARDS) == set(REWARDS)
-    assert set(completion.POLICIES) == set(POLICIES)
-    assert set(ENVIRONMENTS) <= set(completion.ENVIRONMENTS)
-    assert all(parse_mix(name) for name in completion.ENVIRONMENTS)
 
 
 def test_too_little_memory_is_one_line_with_what_helps(in_process: Call, monkeypatch):
