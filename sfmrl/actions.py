@@ -10,7 +10,7 @@ from sfmrl.rewards import COLLISION, RUNNING
 
 
 def _actions() -> np.ndarray:
-    """CRI's 81 actions as shares of v_pref: stop, then 16 headings with 5 speeds (e^(i/5) - 1) / (e - 1) each."""
+    """CrowdNav's 81 actions as shares of v_pref: stop, then 16 headings with 5 speeds (e^(i/5) - 1) / (e - 1) each."""
     speeds = (np.exp(np.arange(1, 6) / 5) - 1) / (np.e - 1)
     headings = np.arange(16) * (2 * np.pi / 16)
     moves = speeds[None, :, None] * np.stack((np.cos(headings), np.sin(headings)), -1)[:, None]

@@ -101,17 +101,6 @@ def print_metrics(result: dict[str, Any], title: str) -> None:
     _print(table)
 
 
-def print_sweep(rows: list[dict[str, Any]], title: str) -> None:
-    """A sweep's rows as a table."""
-    if any("recovered" in row for row in rows):
-        title += ", with recovery"
-    named = {}
-    for row in rows:
-        value = row["value"] if isinstance(row["value"], str) else f"{row['value']:g}"
-        named[f"{row['setting']} {value}"] = row | {"intervals": {"success": (row["success_low"], row["success_high"])}}
-    _print_many(named, "setting", title)
-
-
 def _print_many(rows: dict[str, dict[str, Any]], first: str, title: str) -> None:
     """A line a row, with the interval of success alone."""
     table = Table(

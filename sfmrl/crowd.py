@@ -2,8 +2,8 @@
 
 Pure functions over a frozen `World`. A step is: `crowd_velocities` (which do not depend on the robot's action),
 the policy's choice, `transition` (the one place where outcomes are judged), `advance`. Looking ahead calls the same
-`transition` with every action at once. CRI's habits are kept: the gap to a person is the smallest in the step, with
-the robot moving as it is about to and the person as before the step; a time-out is judged before anything else.
+`transition` with every action at once. CrowdNav's conventions hold: the gap to a person is the smallest in the step,
+with the robot moving as it is about to and the person as before the step; a time-out is judged before anything else.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -58,7 +58,7 @@ class World:
 
     @property
     def preferred_velocity(self) -> np.ndarray:
-        """Everyone's way to the goal, at most v_pref long (CRI: shorter within reach of the goal), (E, N, 2) m/s."""
+        """Way to the goal of each agent, at most v_pref long (CrowdNav: shorter within reach of it), (E, N, 2) m/s."""
         return limit(self.goal - self.position, self.v_pref)
 
     def take(self, rows: np.ndarray) -> "World":

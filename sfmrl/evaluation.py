@@ -1,7 +1,5 @@
 """How good is a policy: the paper's metrics over test episodes, with intervals, in all and by environment."""
 
-from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,6 @@ from sfmrl.progress import Progress, no_progress
 from sfmrl.recovery import RecoveringPolicy
 from sfmrl.rewards import OwnReward, as_reward
 from sfmrl.scenarios import sample_scenes
-from sfmrl.sweeps import Sweep, swept
 
 RATES = ("success", "collision", "timeout")
 
@@ -36,15 +33,15 @@ def evaluation_record(
     reward: str | Reward | OwnReward | None = None,
     simulation: Simulation | None = None,
     phase: str = "test",
-    sweep: Sweep | None = None,
-    value: float | str = "",
+    people: int | None = None,
+    people_speed: float | None = None,
     progress: Progress = no_progress,
 ) -> Record:
-    """Test episodes played with a policy; of a `sweep`, those at one `value`.
+    """Test episodes played with a policy, among other `people` than the environment's if asked (see `sample_scenes`).
 
     `environment`, `simulation` and `reward` (for the total reward) are by default those that the policy was trained to
-    be tested in; for a policy that was not trained, table 1's mix and CRI's. Raises ConfigError on names that stand for
-    nothing and on less than one episode.
+    be tested in; for a policy that was not trained, table 1's mix and CrowdNav's. Raises ConfigError on unknown names
+    and on less than one episode.
     """
     if not 1 <= episodes <= EPISODES:
         raise ConfigError(f"episodes is {episodes}; it must be at least 1 and at most {EPISODES}")
@@ -53,8 +50,7 @@ def evaluation_record(
     settings = own.reward if reward is None else as_reward(reward)
     environment = own.reinforcement.test_environment if environment is None else environment
     simulation = own.simulation if simulation is None else simulation
-    sample = partial(sample_scenes, environment, episodes, seed, phase=phase)
-    scenes, simulation = swept(sweep, value, simulation, sample) if sweep else (sample(), simulation)
+    scenes = sample_scenes(environment, episodes, seed, phase=phase, people=people, people_speed=people_speed)
     with progress(phase, episodes) as told:
         return play_episodes(scenes, chosen, settings, simulation, discount=own.discount, progress=told)
 
@@ -110,20 +106,6 @@ def collided_with(record: Record) -> np.ndarray:
     nearest = record.transition.separations[episode, record.steps - 1].argmin(axis=1)
     struck = np.where(record.scenes.square[episode, 1 + nearest], "square", "human")
     return np.where(record.outcome == "collision", struck, "")
-
-
-def sweep_rows(policy: Policy, sweeps: Sequence[Sweep], **how: Any) -> list[dict[str, Any]]:
-    """A row of plain values for each value of each sweep; `how` as for `evaluation_record`."""
-    rows = []
-    for sweep in sweeps:
-        for value in sweep.values:
-            result = metrics(evaluation_record(policy, sweep=sweep, value=value, **how), policy)
-            low, high = result["intervals"]["success"]
-            row = {"setting": sweep.setting, "value": value, "episodes": result["episodes"]}
-            row |= {name: result[name] for name in RATES} | {"success_low": low, "success_high": high}
-            row |= {name: result[name] for name in ("navigation_time", "total_reward")}
-            rows.append(row | {name: result[name] for name in ("recovered",) if name in result})
-    return rows
 
 
 def _summary(record: Record) -> dict[str, Any]:

@@ -7,11 +7,13 @@ from typing import Annotated, Any
 import typer
 
 from sfmrl.config import ConfigError, counted, suggest
-from sfmrl.console import err, new_file, print_metrics, print_sheet, print_sweep, replay_command, say, say_result
+from sfmrl.console import err, new_file, print_metrics, print_sheet, replay_command, say, say_result
 from sfmrl.files import DamagedFile, csv_text
 from sfmrl.options import (
     Environment,
     Episodes,
+    Humans,
+    HumanSpeed,
     MapFile,
     Overwrite,
     PolicyName,
@@ -21,7 +23,7 @@ from sfmrl.options import (
     option,
     settings_options,
 )
-from sfmrl.session import choose, drawn
+from sfmrl.session import among, choose, drawn
 
 app = typer.Typer()
 
@@ -34,15 +36,10 @@ def evaluate_command(
     map_file: MapFile = None,
     episodes: Episodes = 500,
     seed: Seed = 0,
-    sweep: Annotated[
-        list[str] | None,
-        option(
-            "vary one thing, and print a row a value: humans=0:20:5, v_pref=0.5:1.5:0.25, radius_noise=0:0.1:0.05, "
-            "crowd=orca,sfm, robot_visible=true,false; can be given several times"
-        ),
-    ] = None,
+    humans: Humans = None,
+    human_speed: HumanSpeed = None,
     as_json: Annotated[bool, option("print JSON", "--json")] = False,
-    csv: Annotated[Path | None, option("write a line an episode, or a value of a sweep, to this file")] = None,
+    csv: Annotated[Path | None, option("write a line an episode to this file")] = None,
     overwrite: Overwrite = False,
     trust_reward: TrustReward = False,
     threads: Threads = None,
@@ -50,35 +47,25 @@ def evaluate_command(
     settings: dict[str, Any],
 ) -> None:
     """Test a policy: success, collisions, time-outs, navigation time, total reward."""
-    from sfmrl.evaluation import episode_rows, evaluation_record, metrics, sweep_rows
+    from sfmrl.evaluation import episode_rows, evaluation_record, metrics
     from sfmrl.progress import show_progress
     from sfmrl.scenarios import label
-    from sfmrl.sweeps import parse_sweep
 
-    sweeps = [parse_sweep(text) for text in sweep or []]
     new_file(csv, "csv", overwrite)
     asked = drawn(map_file, environment)
     chosen, name, config = choose(policy, settings, threads, trust_reward)
     environment = config.reinforcement.test_environment if asked is None else asked
-    how = {"environment": environment, "episodes": episodes, "seed": seed}
-    how |= {"reward": config.reward, "simulation": config.simulation, "progress": show_progress(err)}
+    how = {"environment": environment, "episodes": episodes, "seed": seed, "people": humans}
+    how |= {"people_speed": human_speed, "reward": config.reward, "simulation": config.simulation}
+    given, crowd = among(humans, human_speed)
     where = f"map {map_file}" if map_file else f"environment {label(environment)}"
-    title = f"{name}, {where}, {counted(episodes, 'episode')}, seed {seed}"
-    if sweeps:
-        rows = sweep_rows(chosen, sweeps, **how)
-        if csv:
-            csv.write_text(csv_text(rows))
-        if as_json:
-            say_result(json.dumps({"policy": name, "environment": environment, "seed": seed, "rows": rows}, indent=2))
-        else:
-            print_sweep(rows, title)
-        return
-    record = evaluation_record(chosen, **how)
+    title = f"{name}, {where}{crowd}, {counted(episodes, 'episode')}, seed {seed}"
+    record = evaluation_record(chosen, progress=show_progress(err), **how)
     result = metrics(record, chosen)
     if csv:
         csv.write_text(csv_text(episode_rows(record)))
     if as_json:
-        say_result(json.dumps({"policy": name, "environment": environment, "seed": seed} | result, indent=2))
+        say_result(json.dumps({"policy": name, "environment": environment, "seed": seed} | given | result, indent=2))
         return
     print_metrics(result, title)
     if result["failures"]:
@@ -87,7 +74,7 @@ def evaluate_command(
         place = ("--map", map_file) if map_file else ("--environment", environment)
         if asked is None and environment != label(environment):
             place = None  # a run has its map with it
-        see = replay_command(policy, place, seed, failed[0], settings, trust_reward=trust_reward)
+        see = replay_command(policy, place, seed, failed[0], given | settings, trust_reward=trust_reward)
         say(f"{counted(len(failed), 'episode')} ({listed}) failed; see one: {see}")
         no_way = [str(failure["episode"]) for failure in result["failures"] if not failure["solvable"]]
         if no_way:
@@ -102,6 +89,8 @@ def compare_command(
     map_file: MapFile = None,
     episodes: Episodes = 500,
     seed: Seed = 0,
+    humans: Humans = None,
+    human_speed: HumanSpeed = None,
     as_json: Annotated[bool, option("print JSON", "--json")] = False,
     csv: Annotated[Path | None, option("write a line an episode of each policy to this file")] = None,
     overwrite: Overwrite = False,
@@ -126,24 +115,25 @@ def compare_command(
     chosen = [choose(policy, settings, threads, trust_reward) for policy in policies]
     first = chosen[0][2]
     environment = first.reinforcement.test_environment if environment is None else environment
-    how = {"environment": environment, "episodes": episodes, "seed": seed}
-    how |= {"reward": first.reward, "simulation": first.simulation, "progress": show_progress(err)}
-    records = [evaluation_record(policy, **how) for policy, _, _ in chosen]
+    how = {"environment": environment, "episodes": episodes, "seed": seed, "people": humans}
+    how |= {"people_speed": human_speed, "reward": first.reward, "simulation": first.simulation}
+    records = [evaluation_record(policy, progress=show_progress(err), **how) for policy, _, _ in chosen]
     found = compare(records, [policy for policy, _, _ in chosen], policies)
     if csv:
         csv.write_text(csv_text(comparison_rows(records, policies)))
+    given, crowd = among(humans, human_speed)
     if as_json:
-        say_result(json.dumps({"environment": environment, "seed": seed} | found, indent=2))
+        say_result(json.dumps({"environment": environment, "seed": seed} | given | found, indent=2))
         return
     where = f"map {map_file}" if map_file else f"environment {label(environment)}"
-    for sheet in comparison_sheets(found, f"{where}, {counted(episodes, 'episode')}, seed {seed}"):
+    for sheet in comparison_sheets(found, f"{where}{crowd}, {counted(episodes, 'episode')}, seed {seed}"):
         print_sheet(sheet)
     if found["differing"]:
         number, outcomes = found["differing"][0]["episode"], found["differing"][0]["outcomes"]
         success = {name: outcome == "success" for name, outcome in outcomes.items()}
         versus = next(name for name in policies[1:] if success[name] != success[policies[0]])
         place = ("--map", map_file) if map_file else ("--environment", environment)
-        say("see one: " + replay_command(policies[0], place, seed, number, settings, versus, trust_reward))
+        say("see one: " + replay_command(policies[0], place, seed, number, given | settings, versus, trust_reward))
 
 
 @app.command(epilog="Example: sfmrl models sarl-sfm6")

@@ -1,7 +1,7 @@
 """Gradient descent on stored values: what imitation and reinforcement learning share.
 
-Mean squared error between the network's value and the stored one, as in CRI. The learning rate is a pure function of
-progress, so a resumed training needs no scheduler's state.
+Mean squared error between the network's value and the stored one, as in CrowdNav. The learning rate is a pure function
+of progress, so a resumed training needs no scheduler's state.
 """
 
 import json

@@ -1,7 +1,7 @@
 """SARL's choice: look one step ahead with every action, and take the one that leads to most reward and value.
 
-The people's next states come from the simulator, as in CRI: they do not depend on the robot's action, so one step of
-the crowd serves all 81.
+The people's next states come from the simulator, as in CrowdNav: they do not depend on the robot's action, so one step
+of the crowd serves all 81.
 """
 
 import os
@@ -117,7 +117,7 @@ def world_states(world: World, forces: bool) -> np.ndarray:
 
 
 def step_discount(discount: float, v_pref: np.ndarray, simulation: Simulation) -> np.ndarray:
-    """CRI's discount of one step, gamma^(dt v_pref), in the shape of the robot's `v_pref` (m/s)."""
+    """CrowdNav's discount of one step, gamma^(dt v_pref), in the shape of the robot's `v_pref` (m/s)."""
     return discount ** (simulation.time_step * v_pref)
 
 

@@ -90,6 +90,18 @@ MapFile = Annotated[
     Path | None,
     option("a text file that draws the scene: # squares, R robot, G its goal, 1-9 people, a-i their goals", "--map"),
 ]
+Humans = Annotated[
+    int | None,
+    number_option(
+        "so many humans on the circle instead of the environment's own; from 11 on the circle grows from 4 m by 0.4 m "
+        "each, so that they start as close together (default the environment's)",
+        0,
+        200,
+    ),
+]
+HumanSpeed = Annotated[
+    float | None, number_option("preferred speed of the humans, m/s (default 1; the robot's is 1)", 0, 10)
+]
 
 
 def settings_options(*sections: str) -> Callable[[Callable[..., None]], Callable[..., None]]:

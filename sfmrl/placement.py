@@ -1,7 +1,7 @@
 """Where people and squares may stand: places proposed and accepted for many episodes at once.
 
-Rejection sampling by the rules of CRI and of the paper's environments, each episode from its own generator, in blocks
-of proposals: the first that fits is taken, and who shares the batch makes no difference.
+Rejection sampling by the rules of CrowdNav and of the paper's environments, each episode from its own generator, in
+blocks of proposals: the first that fits is taken, and who shares the batch makes no difference.
 """
 
 from collections.abc import Callable
@@ -29,6 +29,11 @@ MIDDLE = 1.5  # m: a group's centre is at most so far from the middle in x and i
 def people_on_circle(environment: str) -> int:
     """How many people "circle" (ten) or "circle5" (five) has."""
     return int(environment.removeprefix("circle") or 10)
+
+
+def circle_of(people: int | None = None) -> float:
+    """Radius of the circle that people start on, m: from eleven people on it grows, so that they stand as close."""
+    return CIRCLE * max(1.0, (people or 0) / 10)
 
 
 class Builder:

@@ -1,4 +1,4 @@
-"""Reinforcement: deep V-learning past what ORCA showed, as CRI and the paper have it.
+"""Reinforcement: deep V-learning past what ORCA showed, as CrowdNav and the paper have it.
 
 Play with epsilon-greedy lookahead, store each state with the value its episode gave it, learn from random batches;
 validate at intervals, and test in the end.
@@ -21,7 +21,7 @@ from sfmrl.learner import Learner
 from sfmrl.learning import torch_threads
 from sfmrl.lookahead import Policy, SarlPolicy
 from sfmrl.policies import WEIGHTS
-from sfmrl.progress import Progress
+from sfmrl.progress import Progress, no_progress
 from sfmrl.recovery import with_recovery
 from sfmrl.runs import Run, create_run, open_run
 from sfmrl.states import column_names
@@ -51,7 +51,7 @@ def reinforce(
     run.write_table("validation.csv", learner.validations)
     alone = SarlPolicy(learner.tested, config, threads)
 
-    def play(phase: str, episodes: int, policy: Policy = alone) -> Record:
+    def play(phase: str, episodes: int, policy: Policy = alone, progress: Progress = progress) -> Record:
         return evaluation_record(
             policy,
             environment=settings.test_environment,
@@ -63,10 +63,11 @@ def reinforce(
         )
 
     aside = settings.overlap and threads > 1
-    with Explorer(config, threads - aside, aside, learner.network.sizes) as explorer:
+    sizes, left = learner.network.sizes, settings.episodes - learner.episode
+    with Explorer(config, threads - aside, aside, sizes) as explorer, progress("reinforcement", left) as told:
         while True:
             if due(learner, settings):
-                rates = metrics(play("validation", settings.validation_episodes))
+                rates = metrics(play("validation", settings.validation_episodes, progress=no_progress))
                 row = {"episode": learner.episode} | {name: rates[name] for name in VALIDATED}
                 if row["success"] >= max((old["success"] for old in learner.validations), default=0.0):
                     save_weights(learner.tested, config, run.folder / BEST)
@@ -75,7 +76,7 @@ def reinforce(
                 say(f"validation at {learner.episode} of {settings.episodes}: {summary(rates)}")
             if learner.episode >= settings.episodes:
                 break
-            train_stretch(run, learner, explorer, progress, stop, 1 if aside else threads)
+            train_stretch(run, learner, explorer, told, stop, 1 if aside else threads)
     run.save_checkpoint(learner.state_dict())
     record = play("test", settings.test_episodes)
     result = metrics(record)
@@ -96,9 +97,9 @@ def reinforce(
 
 
 def train_stretch(
-    run: Run, learner: Learner, explorer: Explorer, progress: Progress, stop: StopSignal, threads: int
+    run: Run, learner: Learner, explorer: Explorer, told: Callable[[int], None], stop: StopSignal, threads: int
 ) -> None:
-    """Play and learn up to the next validation.
+    """Play and learn up to the next validation; `told` is given the number of episodes after each round.
 
     With `overlap` a round's episodes are played while the batches of the round before are learnt; what either reads is
     fixed before both begin, so the order in which they end makes no difference.
@@ -110,28 +111,27 @@ def train_stretch(
     def start() -> Callable[[], Explored]:
         return explorer.start(learner.actor, range(first, min(first + settings.parallel, end)))
 
-    with progress("reinforcement", end - learner.episode) as told:
-        first = learner.episode
-        ahead = start()
-        while learner.episode < end:
-            record, random_steps = ahead()
-            remember(learner, record, random_steps)
-            learner.renew_actor()
-            first += len(record.steps)
-            if first < end:
-                ahead = start()
-            with torch_threads(threads):
-                loss = learner.learn(len(record.steps) * settings.batches)
-            learner.advance(len(record.steps))
-            rows = [row | {"loss": loss} for row in episode_rows(record)]
-            learner.rows += rows
-            run.append_rows("metrics.csv", rows)
-            told(len(rows))
-            if stop.requested or first == end or time.monotonic() - saved_at > CHECKPOINT_EVERY:
-                run.save_checkpoint(learner.state_dict())
-                saved_at = time.monotonic()
-            if stop.requested:
-                raise Interrupted
+    first = learner.episode
+    ahead = start()
+    while learner.episode < end:
+        record, random_steps = ahead()
+        remember(learner, record, random_steps)
+        learner.renew_actor()
+        first += len(record.steps)
+        if first < end:
+            ahead = start()
+        with torch_threads(threads):
+            loss = learner.learn(len(record.steps) * settings.batches)
+        learner.advance(len(record.steps))
+        rows = [row | {"loss": loss} for row in episode_rows(record)]
+        learner.rows += rows
+        run.append_rows("metrics.csv", rows)
+        told(len(rows))
+        if stop.requested or first == end or time.monotonic() - saved_at > CHECKPOINT_EVERY:
+            run.save_checkpoint(learner.state_dict())
+            saved_at = time.monotonic()
+        if stop.requested:
+            raise Interrupted
 
 
 def start_run(config: Config, source: Path | None, from_scratch: bool, folder: Path | None, **existing: bool) -> Run:
@@ -188,7 +188,7 @@ def fits(folder: Path, config: Config) -> bool:
 
 
 def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], None], threads: int) -> Learner:
-    """The training where it was left, or at its start: after imitation, refitted where reward or state differ."""
+    """The training where it was left, or at its start: after imitation, done again where reward or state differ."""
     config, saved = run.config, run.load_checkpoint()
     memory = make_memory(config)
     if saved and "fit" not in saved:
@@ -221,7 +221,8 @@ def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], N
         with run.restoring():
             fit.load_state_dict(saved["fit"])
     reward, columns = config.reward.reward, len(column_names(config.forces))
-    say(f"{source} was fitted to another reward or state: refitting to reward {reward}, {columns} columns")
+    again = f"learning from its demonstrations again, with reward {reward} and {columns} state columns"
+    say(f"{source} was trained with another reward or state: {again}")
 
     def keep(row: dict[str, Any]) -> None:
         run.save_checkpoint({"fit": fit.state_dict()})

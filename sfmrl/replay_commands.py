@@ -2,6 +2,8 @@
 
 import dataclasses
 import re
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +14,8 @@ from sfmrl.console import new_file, out, say, say_result
 from sfmrl.options import (
     Environment,
     Episode,
+    Humans,
+    HumanSpeed,
     MapFile,
     Overwrite,
     PolicyName,
@@ -38,6 +42,8 @@ def ascii_render(
     map_file: MapFile = None,
     episode: Episode = 0,
     seed: Seed = 0,
+    humans: Humans = None,
+    human_speed: HumanSpeed = None,
     speed: Annotated[float, number_option("times real time (default 2)", 0.01, 64)] = 2.0,
     frames: Annotated[
         int | None, number_option("so many stills instead of playing (default a pipe 6, SVG 1)", 1, 10_000)
@@ -74,22 +80,24 @@ def ascii_render(
     room = _parsed(size) if size else FILES if files else (max(out.width, LEAST[0]), max(out.height - 1, LEAST[1]))
     ascii_only = ascii_only or (not files and not (out.encoding or "").lower().startswith("utf"))
     environment = drawn(map_file, environment)
+    from sfmrl.scenarios import sample_scenes
+
+    sample = partial(sample_scenes, episodes=[episode], seed=seed, people=humans, people_speed=human_speed)
     if draw:
         from sfmrl.drawings import draw_map
-        from sfmrl.scenarios import sample_scenes
 
         name = Config().reinforcement.test_environment if environment is None else environment
-        say_result(draw_map(sample_scenes(name, [episode], seed)).rstrip("\n"))
+        say_result(draw_map(sample(name)).rstrip("\n"))
         return
     if scenes:
-        _print_scenes(environment, episode, seed, room, ascii_only)
+        _print_scenes(environment, sample, room, ascii_only)
         return
     from sfmrl.replay import BESIDE, STACKED
 
     if versus and not (room[0] >= BESIDE or room[1] >= STACKED):
         raise ConfigError(f"--versus needs {BESIDE} columns or {STACKED} lines; here are {room[0]} and {room[1]}")
     names = [policy, versus] if versus else [policy]
-    replay = _play(names, (environment, episode, seed), settings, threads, trust_reward)
+    replay = _play(names, environment, sample, settings, threads, trust_reward)
     replay = dataclasses.replace(replay, ascii_only=ascii_only)
     if files:
         _write(files, replay, room, {"count": frames, "at": at}, speed)
@@ -114,38 +122,37 @@ def _parsed(size: str) -> tuple[int, int]:
     return columns, lines
 
 
-def _print_scenes(environment: str | None, episode: int, seed: int, room: tuple[int, int], ascii_only: bool) -> None:
+def _print_scenes(environment: str | None, sample: Callable, room: tuple[int, int], ascii_only: bool) -> None:
     """A picture of a sample of an environment, or of each."""
     from sfmrl.replay import scene_picture
-    from sfmrl.scenarios import ENVIRONMENTS, sample_scenes
+    from sfmrl.scenarios import ENVIRONMENTS
 
     for name in "12345" if environment is None else [environment]:
-        scenes = sample_scenes(name, [episode], seed)
+        scenes = sample(name)
         out.print(scene_picture(scenes, width=room[0], height=room[1], ascii_only=ascii_only), soft_wrap=True)
         out.print(ENVIRONMENTS.get(name, ""), end="\n\n")
 
 
 def _play(
     names: list[str | None],
-    where: tuple[str | None, int, int],
+    environment: str | None,
+    sample: Callable,
     settings: dict[str, Any],
     threads: int | None,
     trust_reward: bool,
 ) -> Any:
-    """A test episode as every policy plays it, in the world of the first one and judged by its reward.
+    """The episode that `sample` returns for an environment, as every policy plays it.
 
-    `where` is the environment (None: the first policy's), the episode's number and the seed.
+    It is judged by the first one's reward, and is in the first one's test environment if none was given.
     """
     from sfmrl.drawings import hindrance
     from sfmrl.episodes import play_episodes
     from sfmrl.replay import Replay
-    from sfmrl.scenarios import sample_scenes
     from sfmrl.story import tell
 
-    environment, episode, seed = where
     policies = [choose(name, settings, threads, trust_reward) for name in names]
     config = policies[0][2]
-    scene = sample_scenes(environment or config.reinforcement.test_environment, [episode], seed)
+    scene = sample(environment or config.reinforcement.test_environment)
     if reason := hindrance(scene, config.simulation.time_limit):
         say(reason)
     how = (config.reward, config.simulation)

@@ -16,7 +16,7 @@ import numpy as np
 from sfmrl.config import ConfigError, suggest
 from sfmrl.geometry import vectors
 from sfmrl.layouts import DRAWN, LAYOUTS, MAPS, drawing_of
-from sfmrl.placement import CIRCLE, RADIUS, V_PREF, Builder, people_on_circle
+from sfmrl.placement import RADIUS, V_PREF, Builder, circle_of, people_on_circle
 from sfmrl.variants import MIXES
 
 ENVIRONMENTS = {
@@ -152,20 +152,25 @@ def sample_scenes(
     seed: int = 0,
     *,
     phase: str = "test",
-    circle: float = CIRCLE,
+    circle: float | None = None,
     people: int | None = None,
+    people_speed: float | None = None,
 ) -> Scenes:
     """Sample episodes of an environment, or of a mix of them, each from its own seed.
 
     `environment` is one of `ENVIRONMENTS`, a mix such as "1:0.7,2:0.3", or "table1", "table2", or a drawing
-    "map:R.#.G/..#.." (see `maps.py`), labelled "map"; `episodes` is how many, or the numbers of those wanted; `circle`
-    is the radius (m) of the circle that people start on. With `people`, so many on the circle take the place of the
-    environment's own. The result has a row for the robot and one for each element, people before squares. Raises
-    ConfigError on names it does not know, and on numbers out of range.
+    "map:R.#.G/..#.." (see `maps.py`), labelled "map"; `episodes` is how many, or the numbers of those wanted. With
+    `people`, that many, all on the circle, take the place of the environment's own; `people_speed` is their preferred
+    speed, m/s; `circle` is the radius of the circle that people start on, m (default `circle_of(people)`). The result
+    has a row for the robot and one for each element, people before squares. Raises ConfigError on names it does not
+    know, and on numbers out of range.
     """
     for name, value in (("seed", seed), ("people", 0 if people is None else people)):
         if not isinstance(value, Integral) or value < 0:
             raise ConfigError(f"{name} is {value!r}; it takes a whole number, 0 or more")
+    if people_speed is not None and not (isinstance(people_speed, Real) and 0 <= people_speed < np.inf):
+        raise ConfigError(f"people_speed is {people_speed!r}; it takes a speed in m/s, 0 or more")
+    circle = circle_of(people) if circle is None else circle
     if not isinstance(circle, Real) or not 0 < circle < np.inf:
         raise ConfigError(f"circle is {circle!r}; it takes a radius in m above 0")
     environment = str(environment) if isinstance(environment, Integral) else environment
@@ -191,8 +196,11 @@ def sample_scenes(
         builder.build(str(name), np.flatnonzero(picked == name))
     if people is not None:
         builder = builder.among(people)
+    speed = np.full(builder.square.shape, V_PREF)
+    if people_speed is not None:
+        speed[:, 1:][~builder.square[:, 1:]] = people_speed
     labels = [label(name) for name in picked]
-    return Scenes(builder.start, builder.goal, square=builder.square, environment=labels, episode=numbers)
+    return Scenes(builder.start, builder.goal, RADIUS, speed, builder.square, labels, numbers)
 
 
 def label(environment: str) -> str:

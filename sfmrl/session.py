@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from sfmrl.config import Config, ConfigError, override
+from sfmrl.config import Config, ConfigError, counted, override
 from sfmrl.console import err, say
 from sfmrl.variants import make_config
 
@@ -124,6 +124,15 @@ def drawn(map_file: Path | None, environment: str | None) -> str | None:
     if map_file and environment is not None:
         raise ConfigError("--map and --environment exclude each other; leave out one of them")
     return load_map(map_file) if map_file else environment
+
+
+def among(humans: int | None, human_speed: float | None) -> tuple[dict[str, Any], str]:
+    """What was given of --humans and --human-speed, by name, and in words for a title."""
+    from sfmrl.placement import circle_of
+
+    given = {name: value for name, value in (("humans", humans), ("human_speed", human_speed)) if value is not None}
+    words = "" if humans is None else f", {counted(humans, 'human')} on a circle of {circle_of(humans):g} m"
+    return given, words + ("" if human_speed is None else f", humans at {human_speed:g} m/s")
 
 
 def newest() -> str:

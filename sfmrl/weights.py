@@ -110,7 +110,7 @@ def save_weights(network: ValueNetwork, config: Config, path: Path) -> str:
 
 
 def load_weights(path: Path) -> tuple[ValueNetwork, Config]:
-    """The network and config of a weights file; for a CrowdNav checkpoint, CRI's reward under the paper's preset.
+    """The network and config of a weights file; for a CrowdNav checkpoint, CrowdNav's reward under the paper's preset.
 
     A file listed in its folder's SHA256SUMS is held to it. Raises DamagedFile, or ConfigError where there is no such
     network in the file.

@@ -70,7 +70,7 @@ def test_from_imitation_to_replay(sfmrl: Call, tmp_path: Path):
     rl = sfmrl("rl", "--reward", "sfm", *TINY_RL)
     assert rl.returncode == 0, rl.stderr
     assert "from imitation run runs/il-sarl-seed0" in rl.stderr
-    assert "refitting to reward sfm" in rl.stderr
+    assert "learning from its demonstrations again, with reward sfm and 13 state columns" in rl.stderr
     assert "test of runs/rl-sarl-sfm2-seed0, environment table1" in rl.stdout
     result = json.loads((tmp_path / "runs/rl-sarl-sfm2-seed0/result.json").read_text())
     assert result["episodes"] == 4
@@ -221,8 +221,8 @@ WRONG_USE = [
     (("eval", "orca", "--time-step", "nan"), ("time-step",)),
     (("eval", "orca", "--csv", "no/such/folder.csv"), ("no folder no/such",)),
     (("eval", "orca", "--episodes", "2", "--csv", ".", "--overwrite"), ("is a folder",)),
-    (("eval", "orca", "--sweep", "humens=0:20:5"), ("did you mean humans?",)),
-    (("eval", "orca", "--sweep", "crowd=orca,rvo"), ("crowd is 'rvo'; choose orca, sfm",)),
+    (("eval", "orca", "--humans", "0.5"), ("--humans", "integer")),
+    (("compare", "orca", "sfm", "--human-speed", "nan"), ("--human-speed",)),
     (("eval", "orca", "--environment", "map-rooms"), ("there is no environment 'map-rooms'", "did you mean map-room?")),
     (("eval", "orca", "--recover", "--resolution", "0"), ("resolution",)),
     (("eval", "."), (". is not a run folder",)),
@@ -242,7 +242,7 @@ WRONG_USE = [
     (("train",), ("train",)),
     (("rl", "--resume", "nowhere"), ("nowhere does not exist", "none yet, sfmrl il makes one")),
     (("il", "--continue"), ("--run",)),
-    (("eval", "orca", "--sweep", "humans=1e9"), ("humans", "at most 1000")),
+    (("eval", "orca", "--humans", "201"), ("--humans", "from 0 to 200")),
     (("eval", "orca", "--reward", "mine.py:mine"), ("there is no file mine.py", "path")),
     (("explain", "orca", "--steps", "x"), ("--steps is 'x'", "as in 10:20")),
     (("explain", "orca", "--every", "0"), ("--every",)),
@@ -380,13 +380,13 @@ def test_results_go_to_standard_output_and_what_to_do_next_to_standard_error(sfm
     assert shown.stdout.strip()
 
 
-def test_refitted_training_has_the_same_bits_on_one_thread_and_on_two_and_is_replayed(sfmrl: Call, tmp_path: Path):
+def test_a_training_that_repeats_imitation_has_the_same_bits_on_one_thread_and_on_two(sfmrl: Call, tmp_path: Path):
     assert sfmrl("il", *TINY_IL).returncode == 0
     longer = [*TINY_RL, "--episodes", "8", "--reward", "sfm"]
     for threads in (1, 2):
         done = sfmrl("rl", *longer, "--threads", threads, "--run", f"run{threads}")
         assert done.returncode == 0, done.stderr
-        assert "refitting" in done.stderr  # imitation learnt values of another reward
+        assert "learning from its demonstrations again" in done.stderr  # imitation learnt values of another reward
     one, two = (load_weights(tmp_path / f"run{threads}" / "weights.pt")[0] for threads in (1, 2))
     assert torch.equal(one.flat, two.flat)
     replay = sfmrl("ascii-render", "run2", "--frames", "2")
@@ -404,33 +404,20 @@ def test_recovery_on_the_maps_by_name_and_an_unsolvable_one_is_called_so(sfmrl: 
     assert "--recover" in closed.stderr
 
 
-def test_a_sweep_is_a_table_a_csv_and_json(sfmrl: Call, tmp_path: Path):
-    words = (
-        "eval",
-        "orca",
-        "--environment",
-        "2",
-        "--episodes",
-        "3",
-        "--sweep",
-        "humans=0:20:10",
-        "--sweep",
-        "v_pref=1",
-    )
-    done = sfmrl(*words, "--csv", "out.csv")
+def test_another_crowd_is_said_and_is_the_same_one_in_every_command(sfmrl: Call):
+    crowd = ("--humans", "12", "--human-speed", "1.5")
+    done = sfmrl("eval", "linear", "--environment", "2", "--episodes", "3", *crowd)
     assert done.returncode == 0, done.stderr
-    assert [line.split()[:2] for line in done.stdout.splitlines() if re.match(" *(humans|v_pref)", line)] == [
-        ["humans", "0"],
-        ["humans", "10"],
-        ["humans", "20"],
-        ["v_pref", "1"],
-    ]
-    assert "…" not in done.stdout
-    with open(tmp_path / "out.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
-    again = json.loads(sfmrl(*words, "--json").stdout)
-    assert [row["success"] for row in rows] == [str(row["success"]) for row in again["rows"]]
-    assert_one_line_error(sfmrl(*words, "--csv", "out.csv"), "out.csv", "--overwrite")
+    assert "12 humans on a circle of 4.8 m, humans at 1.5 m/s" in re.sub(r"\s+", " ", done.stdout)
+    see = done.stderr.splitlines()[-1].partition("see one: sfmrl ")[2]
+    assert see.endswith(" ".join(crowd))
+    shown = sfmrl(*shlex.split(see), "--at", "0")
+    assert shown.returncode == 0, shown.stderr
+    assert " c" in shown.stdout  # the twelfth, after 9 of them a and b
+    found = json.loads(
+        sfmrl("compare", "linear", "orca", "--environment", "2", "--episodes", "3", *crowd, "--json").stdout
+    )
+    assert (found["humans"], found["human_speed"]) == (12, 1.5)
 
 
 def test_the_reader_of_a_pipe_may_leave_early():

@@ -1,6 +1,7 @@
 """Maps drawn in text: read and drawn to the same, bad ones named by line and column, and used by the commands."""
 
 from collections.abc import Callable
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -267,7 +268,7 @@ def test_an_interrupted_training_on_a_map_goes_on_from_its_folder_alone(tmp_path
     path.write_text("R..G\n#...\n")
     schedule = {"episodes": 4, "parallel": 2, "overlap": False, "batches": 1, "batch_size": 8, "memory": 500}
     schedule |= {"environment": load_map(path), "test_environment": load_map(path)}
-    schedule |= {"validation_episodes": 2, "test_episodes": 2}
+    schedule |= {"validation_interval": 2, "validation_episodes": 2, "test_episodes": 2}
     config = make_config(simulation={"time_limit": 4.0}, reinforcement=schedule)
     stop = StopSignal()
     stop.requested = True
@@ -275,7 +276,17 @@ def test_an_interrupted_training_on_a_map_goes_on_from_its_folder_alone(tmp_path
     with pytest.raises(Interrupted):
         reinforce(run, no_progress, stop, lambda text: None)
     path.unlink()
-    result = reinforce(open_run(run.folder, "rl"), no_progress, StopSignal(), lambda text: None)
+    bars = []
+
+    @contextmanager
+    def progress(title, total):
+        bars.append([title, total, 0])
+        yield lambda count: bars[-1].append(bars[-1].pop() + count)
+
+    said = []
+    result = reinforce(open_run(run.folder, "rl"), progress, StopSignal(), said.append)
+    assert bars == [["reinforcement", 4, 4], ["test", 2, 2], ["test", 2, 2]]  # one for the whole training
+    assert [line.partition(":")[0] for line in said] == [f"validation at {episode} of 4" for episode in (0, 2, 4)]
     assert result["episodes"] == 2
     assert open_run(run.folder).finished
 

@@ -49,7 +49,7 @@ LEVELS = (
         "policies",
         "episodes",
     ),
-    ("sweeps", "evaluation", "memory", "learning", "learner", "exploration", "runs", "imitation", "reinforcement"),
+    ("evaluation", "memory", "learning", "learner", "exploration", "runs", "imitation", "reinforcement"),
     ("tables", "results", "findings", "reports", "comparison", "campaign", "cluster"),
     ("canvas", "story", "timeline", "panel", "plane", "layout", "screen", "replay", "exports", "curves"),
     ("explanation", "run_replay", "verification", "doctor"),

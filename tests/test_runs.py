@@ -542,7 +542,7 @@ def test_a_killed_reinforcement_goes_on_to_the_same_bits(workshop):
     complete(workshop, "rl", *RL, "--from", "il", "--run", "rl", "--threads", 1)
     start, go_on = ("rl", *RL, "--from", "il", "--run", "rl-killed"), ("rl", "--resume", "rl-killed")
     metrics = killed / "metrics.csv"
-    interrupt(workshop, signal.SIGINT, checkpoint_of_at_least(killed, 2), *start)  # while refitting to the reward
+    interrupt(workshop, signal.SIGINT, checkpoint_of_at_least(killed, 2), *start)  # while it repeats imitation
     interrupt(workshop, signal.SIGKILL, checkpoint_of_at_least(killed, 6), *go_on)
     interrupt(workshop, signal.SIGTERM, lines_of_at_least(metrics, 5), *go_on)
     interrupt(workshop, signal.SIGKILL, lines_of_at_least(killed / "validation.csv", 3), *go_on)

@@ -164,6 +164,27 @@ def test_circle_with_any_number_of_people(people):
         assert (np.abs(length(scene.start[:, 1:]) - radius) <= 0.5 * np.sqrt(2) + 1e-9).all()
 
 
+@pytest.mark.parametrize("people", [0, 3, 10, 20, 100])
+def test_other_people_are_as_many_as_asked_for_among_the_same_squares_and_stand_as_close(people):
+    plain, scene = sample_scenes("table2", 30, 4), sample_scenes("table2", 30, 4, people=people)
+    there = ~np.isnan(scene.start[..., 0])
+    assert ((there & ~scene.square).sum(1) == 1 + people).all()
+    for e in range(30):
+        np.testing.assert_array_equal(scene.start[e][scene.square[e]], plain.start[e][plain.square[e]])
+    others = there & ~scene.square
+    others[:, 0] = False
+    radius = max(4.0, 0.4 * people)  # as much of the circle for each of them as for ten on 4 m
+    assert (np.abs(length(scene.start[others]) - radius) <= 0.5 * np.sqrt(2) + 1e-9).all()
+
+
+def test_only_the_people_s_speed_changes_with_people_speed():
+    plain, fast = sample_scenes("table1", 30, 4), sample_scenes("table1", 30, 4, people_speed=1.5)
+    people = ~plain.square
+    people[:, 0] = False
+    np.testing.assert_array_equal(fast.v_pref, np.where(people, 1.5, plain.v_pref))
+    np.testing.assert_array_equal(fast.start, plain.start)
+
+
 def test_table_1_mixes_environments_1_and_2_seven_to_three():
     names = sample_scenes("table1", 2000, seed=5).environment
     assert set(names) == {"1", "2"}
