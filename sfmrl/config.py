@@ -1,7 +1,7 @@
 """Every knob of sfmrl, once: its default, its unit, where it comes from, and what `--help` says of it.
 
 Frozen dataclasses, checked when they are made. The plain defaults are the paper's ("Effects of a Social Force Model
-reward in Robot Navigation based on Deep Reinforcement Learning", Gil and Sanfeliu) or, where it says "same as CRI",
+reward in Robot Navigation based on Deep Reinforcement Learning", Gil and Sanfeliu) or, where it says "CrowdNav",
 those of CrowdNav/SARL (Chen et al., 2019); `PRESETS` and `VARIANTS` are overrides as data.
 """
 
@@ -90,18 +90,20 @@ class SocialForce(_Checked):
 
 @dataclass(frozen=True)
 class Simulation(_Checked):
-    """How the crowd moves and when an episode ends; CRI's values."""
+    """How the crowd moves and when an episode ends; CrowdNav's values."""
 
     time_step: float = knob(0.25, "length of a step, s", least=1e-3, most=10)
-    time_limit: float = knob(25.0, "an episode is timed out 1 s before this time, s (CRI)", least=1, most=3600)
+    time_limit: float = knob(25.0, "an episode is timed out 1 s before this time, s (CrowdNav)", least=1, most=3600)
     crowd: str = knob("orca", "what drives the humans", choices=("orca", "sfm"))
     robot_visible: bool = knob(True, "the humans see the robot (paper: they do)")
     safety_space: float = knob(0.0, "added to every radius when ORCA drives the robot, m", least=0, most=10)
-    clearance: float = knob(0.01, "added to every radius inside ORCA, m (CRI)", least=0, most=10)
-    neighbor_distance: float = knob(10.0, "ORCA: agents farther away are ignored, m (CRI)", least=0, most=1e6)
-    max_neighbors: int = knob(10, "ORCA: only so many nearest agents count (CRI)", least=0, most=1000)
-    time_horizon: float = knob(5.0, "ORCA: looks so far ahead for agents, s (CRI)", least=1e-3, most=1000)
-    obstacle_time_horizon: float = knob(5.0, "ORCA: looks so far ahead for polygons, s (CRI)", least=1e-3, most=1000)
+    clearance: float = knob(0.01, "added to every radius inside ORCA, m (CrowdNav)", least=0, most=10)
+    neighbor_distance: float = knob(10.0, "ORCA: agents farther away are ignored, m (CrowdNav)", least=0, most=1e6)
+    max_neighbors: int = knob(10, "ORCA: only so many nearest agents count (CrowdNav)", least=0, most=1000)
+    time_horizon: float = knob(5.0, "ORCA: looks so far ahead for agents, s (CrowdNav)", least=1e-3, most=1000)
+    obstacle_time_horizon: float = knob(
+        5.0, "ORCA: looks so far ahead for polygons, s (CrowdNav)", least=1e-3, most=1000
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -113,18 +115,18 @@ class Simulation(_Checked):
 
     @property
     def longest(self) -> int:
-        """Steps of the longest episode: the first to start 1 s before the time limit, or later, is the last (CRI)."""
+        """Steps of the longest episode: as in CrowdNav, the first from 1 s before the time limit on is the last."""
         return math.ceil((self.time_limit - 1.0) / self.time_step - 1e-9) + 1
 
 
 @dataclass(frozen=True)
 class Reward(_Checked):
-    """Numbers of the rewards: CRI's, and the paper's second formula."""
+    """Numbers of the rewards: CrowdNav's, and the paper's second formula."""
 
-    reward: str = knob("crowd", "crowd (CRI), sfm, sfm-discount (paper), or your own: file.py:function")
-    success: float = knob(1.0, "reward for reaching the goal (CRI)", **PAY)
-    collision: float = knob(-0.25, "reward for a collision (CRI)", **PAY)
-    discomfort_distance: float = knob(0.2, "closer than this is too close, m (CRI)", least=0, most=1000)
+    reward: str = knob("crowd", "crowd (CrowdNav), sfm, sfm-discount (paper), or your own: file.py:function")
+    success: float = knob(1.0, "reward for reaching the goal (CrowdNav)", **PAY)
+    collision: float = knob(-0.25, "reward for a collision (CrowdNav)", **PAY)
+    discomfort_distance: float = knob(0.2, "closer than this is too close, m (CrowdNav)", least=0, most=1000)
     discomfort_slope: float = knob(
         0.125, "crowd: penalty per metre too close, in 0.25 s (CrowdNav: 0.5 a second)", **PAY
     )
@@ -172,28 +174,30 @@ class Imitation(_Checked):
 
 @dataclass(frozen=True)
 class Reinforcement(_Checked):
-    """Deep V-learning; the paper's numbers, CRI's where it is silent."""
+    """Deep V-learning; the paper's numbers, CrowdNav's where it is silent."""
 
     episodes: int = knob(10_000, "training episodes", least=1, most=10_000_000)
     parallel: int = knob(1, "episodes played side by side, for speed", least=1, most=10_000)
     overlap: bool = knob(False, "learn from the last episodes while the next are played (as in Mnih et al., 2016)")
-    batches: int = knob(100, "batches of learning an episode (CRI)", least=0, most=10_000)
+    batches: int = knob(100, "batches of learning an episode (CrowdNav)", least=0, most=10_000)
     batch_size: int = knob(100, "states in a batch", least=1, most=100_000)
     optimizer: str = knob("sgd", "sgd (momentum 0.9) or adam (Kingma and Ba, 2015)", choices=_OPTIMIZERS)
     learning_rate: float = knob(0.001, "learning rate", least=0, most=1000)
     schedule: str = knob("constant", "course of the learning rate (one-cycle: Smith, 2017)", choices=_SCHEDULES)
-    epsilon_start: float = knob(0.5, "share of random actions at the start (CRI)", least=0, most=1)
-    epsilon_end: float = knob(0.1, "share of random actions in the end (CRI)", least=0, most=1)
-    epsilon_episodes: int = knob(4000, "episodes from the first share to the last (CRI)", least=1, most=10_000_000)
+    epsilon_start: float = knob(0.5, "share of random actions at the start (CrowdNav)", least=0, most=1)
+    epsilon_end: float = knob(0.1, "share of random actions in the end (CrowdNav)", least=0, most=1)
+    epsilon_episodes: int = knob(4000, "episodes from the first share to the last (CrowdNav)", least=1, most=10_000_000)
     targets: str = knob(
         "td",
         "learn td, the reward plus the target's next value, or returns, all that followed up to the next random action "
         "(Watkins, 1989)",
         choices=("td", "returns"),
     )
-    target_interval: int = knob(50, "episodes between updates of the target network (CRI)", least=1, most=10_000_000)
-    memory: int = knob(100_000, "states kept to learn from (CRI)", least=1, most=10_000_000)
-    keep_timeouts: bool = knob(False, "learn from time-outs too, as worth 0 at their end (ours; CRI drops them)")
+    target_interval: int = knob(
+        50, "episodes between updates of the target network (CrowdNav)", least=1, most=10_000_000
+    )
+    memory: int = knob(100_000, "states kept to learn from (CrowdNav)", least=1, most=10_000_000)
+    keep_timeouts: bool = knob(False, "learn from time-outs too, as worth 0 at their end (ours; CrowdNav drops them)")
     average: int = knob(
         0, "test with weights averaged over so many batches (Polyak, 1992); 0: off", least=0, most=10_000_000
     )
@@ -217,7 +221,7 @@ class Config(_Checked):
         "inner layers in float32, bfloat16 (faster; Kalamkar et al., 2019), or auto: bf16 where the processor has it",
         choices=("fp32", "bf16", "auto"),
     )
-    discount: float = knob(0.9, "discount per second at 1 m/s (CRI's gamma)", least=0, most=1)
+    discount: float = knob(0.9, "discount per second at 1 m/s (CrowdNav's gamma)", least=0, most=1)
     value_prior: bool = knob(False, "write the value as 0.9^(goal distance - 0.3) (0.8 + network) (ours)")
     collision_ends: bool = knob(False, "in looking ahead, nothing follows a collision (Sutton and Barto, 1998)")
     avoid_traps: bool = knob(False, "pass over actions after which all collide, if it can (Fraichard and Asama, 2004)")

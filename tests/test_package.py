@@ -117,6 +117,11 @@ def test_a_file_says_what_it_is(path):
     assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
 
 
+def test_crowdnav_is_called_by_its_name_wherever_a_user_reads():
+    pages = [*PACKAGE, ROOT / "README.md", *(ROOT / "tutorials").glob("*.md")]
+    assert [path.name for path in pages if re.search(r"\bCRI\b", path.read_text(encoding="utf-8"))] == []
+
+
 def test_importing_sfmrl_costs_nothing_and_every_name_it_promises_is_there():
     code = (
         "import sys, sfmrl\n"
