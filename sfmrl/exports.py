@@ -1,4 +1,4 @@
-"""A replay as a file: SVG, an asciinema recording (asciicast v2), plain text. Pure: frames in, a file's text out.
+"""A replay as a file: SVG, or an asciinema recording (asciicast v2). Pure: frames in, a file's text out.
 
 The same frames make the same file: no date, no terminal and no environment enters it.
 """
@@ -6,17 +6,12 @@ The same frames make the same file: no date, no terminal and no environment ente
 import io
 import json
 from collections.abc import Sequence
-from itertools import groupby, zip_longest
 
-from rich.color import ColorSystem
 from rich.console import Console
-from rich.style import Style
 from rich.text import Text
 
 from sfmrl.replay import Frame
 
-Cell = tuple[str, Style]
-NEAR = 6  # cells: changes in a line that are no farther apart are written in one go
 HOLD = 2.0  # s that a recording shows its last frame
 # Rich's own, without the typeface that it would fetch: fonts that a reader has, in the size at which the first one's
 # blocks fill Rich's lines of 24.4 px, and its columns by that font's aspect.
@@ -41,11 +36,6 @@ SVG = """\
 """.replace("FONT", f"{FONT}")
 
 
-def to_txt(frames: Sequence[Frame]) -> str:
-    """The frames one below the other, an empty line between them."""
-    return "\n\n".join(frame.plain for frame in frames) + "\n"
-
-
 def to_svg(frames: Sequence[Frame], title: str, colour: bool = True) -> str:
     """The frames one below the other as one picture."""
     console = _console(_columns(frames), record=True)
@@ -57,50 +47,18 @@ def to_svg(frames: Sequence[Frame], title: str, colour: bool = True) -> str:
 
 
 def to_cast(frames: Sequence[Frame], title: str, speed: float = 1.0, colour: bool = True) -> str:
-    """The frames in time, `speed` times as fast as it was: after the first, what has changed from one to the next."""
+    """The frames in time, `speed` times as fast as it was, each drawn whole."""
     columns, rows = _columns(frames), max(frame.text.plain.count("\n") + 1 for frame in frames)
-    ascii_only = all(frame.plain.isascii() for frame in frames)
-    lines = [json.dumps({"version": 2, "width": columns, "height": rows, "title": title}, ensure_ascii=ascii_only)]
-    before: list[list[Cell]] = []
-    for frame in frames:
-        now = _cells(frame, columns, colour)
-        start = "" if before else "\x1b[?25l\x1b[2J"  # no cursor, an empty screen
-        empty = [(" ", Style.null())] * columns
-        drawn = [_changes(k, *pair) for k, pair in enumerate(zip_longest(before, now, fillvalue=empty), 1)]
-        lines.append(_event(frame.time / speed, start + "".join(drawn), ascii_only))
-        before = now
-    lines.append(_event(frames[-1].time / speed + HOLD, f"\x1b[{rows};1H\x1b[?25h", ascii_only))
-    return "\n".join(lines) + "\n"
-
-
-def _event(seconds: float, output: str, ascii_only: bool) -> str:
-    return json.dumps([round(seconds, 6), "o", output], ensure_ascii=ascii_only)
-
-
-def _cells(frame: Frame, columns: int, colour: bool) -> list[list[Cell]]:
-    """A frame's rows of `columns` cells; without colour, of their styles only bold, dim and the like are left."""
     console = _console(columns)
-    rows = []
-    for line in console.render_lines(frame.text, console.options):
-        pairs = [(text, style or Style.null()) for text, style, _ in line]
-        rows.append([(glyph, style if colour else style.without_color) for text, style in pairs for glyph in text])
-    return rows
-
-
-def _changes(row: int, before: list[Cell], now: list[Cell]) -> str:
-    """What a terminal with 256 colours must get to show a row as it is `now`: runs of cells, each put in its place."""
-    runs: list[list[int]] = []
-    for k in (k for k, cell in enumerate(now) if before[k] != cell):
-        if runs and k - runs[-1][-1] <= NEAR:
-            runs[-1] += range(runs[-1][-1] + 1, k + 1)
-        else:
-            runs.append([k])
-    text = ""
-    for run in runs:
-        text += f"\x1b[{row};{run[0] + 1}H"
-        for style, cells in groupby((now[k] for k in run), key=lambda cell: cell[1]):
-            text += style.render("".join(glyph for glyph, _ in cells), color_system=ColorSystem.EIGHT_BIT)
-    return text
+    lines: list[dict | list] = [{"version": 2, "width": columns, "height": rows, "title": title}]
+    for frame in frames:
+        with console.capture() as drawn:
+            console.print(frame.text if colour else Text(frame.plain), end="")
+        cleared = "\x1b[?25l\x1b[2J\x1b[1;1H"  # no cursor, an empty screen
+        lines.append([frame.time / speed, "o", cleared + drawn.get().replace("\n", "\r\n")])
+    lines.append([frames[-1].time / speed + HOLD, "o", f"\x1b[{rows};1H\x1b[?25h"])
+    ascii_only = all(frame.plain.isascii() for frame in frames)
+    return "".join(json.dumps(line, ensure_ascii=ascii_only) + "\n" for line in lines)
 
 
 def _console(columns: int, **extra) -> Console:

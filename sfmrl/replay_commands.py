@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sfmrl.config import Config, ConfigError
+from sfmrl.config import Config, ConfigError, counted
 from sfmrl.console import new_file, out, say, say_result
 from sfmrl.options import (
     Environment,
@@ -55,7 +55,6 @@ def ascii_render(
     draw: Annotated[bool, option("print the scene as a map for --map, to edit, and play nothing", "--draw")] = False,
     svg: Annotated[Path | None, option("write the last frame, or stills one below the other, as a picture")] = None,
     cast: Annotated[Path | None, option("write a recording that asciinema and its like play")] = None,
-    txt: Annotated[Path | None, option("write all frames, or stills, as plain text")] = None,
     overwrite: Overwrite = False,
     trust_reward: TrustReward = False,
     threads: Threads = None,
@@ -63,7 +62,7 @@ def ascii_render(
     settings: dict[str, Any],
 ) -> None:
     """Replay a test episode in the terminal, or write it to files."""
-    files = {flag: path for flag, path in (("--svg", svg), ("--cast", cast), ("--txt", txt)) if path}
+    files = {flag: path for flag, path in (("--svg", svg), ("--cast", cast)) if path}
     for flag, path in files.items():
         new_file(path, flag.removeprefix("--"), overwrite)
     if len({path.resolve() for path in files.values()}) < len(files):
@@ -100,7 +99,7 @@ def ascii_render(
     replay = _play(names, environment, sample, settings, threads, trust_reward)
     replay = dataclasses.replace(replay, ascii_only=ascii_only)
     if files:
-        _write(files, replay, room, {"count": frames, "at": at}, speed)
+        _write(files, replay, room, {"count": frames if at is not None else frames or 1, "at": at}, speed)
     elif frames or at is not None or not out.is_terminal or out.is_dumb_terminal:
         for picture in replay.frames(*room, frames or 6, at):
             out.print(picture.text if out.is_terminal else picture.plain, markup=False, highlight=False, soft_wrap=True)
@@ -167,22 +166,17 @@ def _play(
 
 
 def _write(files: dict[str, Path], replay: Any, room: tuple[int, int], stills: dict[str, Any], speed: float) -> None:
-    """Write the replay to the files of some flags, and say so; `stills` is what `Replay.frames` takes."""
-    from sfmrl.exports import to_cast, to_svg, to_txt
+    """Write the replay to the files of some flags, and say so; `stills` is what `Replay.frames` takes for a picture."""
+    from sfmrl.exports import to_cast, to_svg
     from sfmrl.files import write_atomically
 
-    chosen = any(value is not None for value in stills.values())
+    colour = not out.no_color
     for flag, path in files.items():
         if flag == "--svg":
-            shown = replay.frames(*room, **(stills if chosen else {"count": 1}))
-            text = to_svg(shown, replay.title, colour=not out.no_color)
-        elif flag == "--cast":
-            shown = replay.frames(*room)
-            text = to_cast(shown, replay.title, speed, colour=not out.no_color)
-        else:
             shown = replay.frames(*room, **stills)
-            text = to_txt(shown)
-        data = text.encode()
+            data = to_svg(shown, replay.title, colour).encode()
+        else:
+            shown = replay.frames(*room)
+            data = to_cast(shown, replay.title, speed, colour).encode()
         write_atomically(path, data, checked=False)
-        many = f"{len(shown)} {'frame' if len(shown) == 1 else 'frames'} of {room[0]}x{room[1]}"
-        say(f"wrote {path}: {many}, {len(data) / 1000:.0f} kB")
+        say(f"wrote {path}: {counted(len(shown), 'frame')} of {room[0]}x{room[1]}, {len(data) / 1000:.0f} kB")
