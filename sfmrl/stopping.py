@@ -47,7 +47,7 @@ class StopSignal:
             raise KeyboardInterrupt
         self.requested = True
         with suppress(OSError):  # a terminal that has gone cannot be written to
-            self._say("stopping as soon as all is kept; once more stops at once")
+            self._say("stopping at the next checkpoint; interrupt again to stop at once")
 
     def watch(self, progress: Progress) -> Progress:
         """`progress` that raises Interrupted once a stop is requested, for work of which nothing need be kept."""
