@@ -21,7 +21,7 @@ import torch
 import typer
 from conftest import ROOT, environment
 
-from sfmrl import __version__, cli
+from sfmrl import __version__, cli, completion
 from sfmrl.cli import app, main
 from sfmrl.config import Config, ConfigError, Imitation, Planner, Reinforcement, Reward, Simulation, SocialForce
 from sfmrl.folders import locked
