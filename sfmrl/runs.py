@@ -242,7 +242,11 @@ def _refuse(folder: Path, overwrite: bool) -> None:
     if not overwrite and in_training(folder):
         raise ConfigError(f"{folder} is being trained by another process; name another --run")
     if not overwrite:
-        ways = ["name another --run", "replace it with --overwrite", f"go on with it by --resume {folder}"]
+        ways = [
+            "name another --run",
+            "replace it with --overwrite",
+            f"go on with it by --resume {shlex.quote(str(folder))}",
+        ]
         raise ConfigError(f"{folder} is there already; {', or '.join(ways[: 2 + (not finished(folder))])}")
 
 

@@ -63,22 +63,29 @@ def use_threads(threads: int | None) -> int:
     return threads or available_cores()
 
 
+def on_run(command: str, run: Any) -> str:
+    """What to type to use a run, quoted for the shell; it says so if the run's reward is the user's own."""
+    from sfmrl.rewards import REWARDS
+
+    trust = [] if run.config.reward.reward in REWARDS else ["--trust-reward"]
+    return shlex.join(["sfmrl", *command.split(), str(run.folder), *trust])
+
+
 def train(run: Any, work: Callable[..., Any]) -> Any:
     """Do a training's work; raises Interrupted, which says how to go on, when it is asked to stop."""
     from sfmrl.own_code import reward_digest
     from sfmrl.progress import show_progress
-    from sfmrl.rewards import REWARDS, reward_terms
+    from sfmrl.rewards import reward_terms
     from sfmrl.runs import sole_use
     from sfmrl.stopping import Interrupted, StopSignal
 
-    trust = "" if run.config.reward.reward in REWARDS else " --trust-reward"
-    how = f"sfmrl {run.kind} --resume {shlex.quote(str(run.folder))}{trust}"
+    how = on_run(f"{run.kind} --resume", run)
     if run.facts.get("own_reward") != reward_digest(run.config.reward):
         raise ConfigError(f"{run.config.reward.reward} has changed since {run.folder} began; start a new run with it")
     reward_terms(run.config.reward)  # which says why if it cannot, or must not, be used
     with sole_use(run), StopSignal(say) as stop:
         if run.finished:
-            next_step = f"test it with sfmrl eval {shlex.quote(str(run.folder))}, or begin another run"
+            next_step = f"test it with {on_run('eval', run)}, or begin another run"
             raise ConfigError(f"{run.folder} is finished; there is nothing to go on with: {next_step}")
         say(f"run folder {run.folder}")
         try:

@@ -22,7 +22,7 @@ from sfmrl.options import (
     option,
     settings_options,
 )
-from sfmrl.session import drawn, existing, finished, new_config, reopen, say_habits, train, use_threads
+from sfmrl.session import drawn, existing, finished, new_config, on_run, reopen, say_habits, train, use_threads
 
 app = typer.Typer()
 
@@ -53,11 +53,11 @@ def il(
     if go_on and finished(current):
         return
     train(current, lambda progress, stop: imitate(current, progress, stop, threads=workers))
-    folder, plain, made = str(current.folder), asdict(Config()), asdict(current.config)
+    plain, made = asdict(Config()), asdict(current.config)
     needed = {name: made[name] for name in ("preset", "seed") if made[name] != plain[name]}
     needed |= {name: value for name, value in made["simulation"].items() if value != plain["simulation"][name]}
-    reinforce = shlex.join(["sfmrl", "rl", "--reward", "sfm", "--from", folder, *as_options(needed)])
-    say(f"done: {folder}; next: {reinforce}, or {shlex.join(['sfmrl', 'eval', folder])}")
+    following = ["sfmrl", "rl", "--reward", "sfm", "--from", str(current.folder), *as_options(needed)]
+    say(f"done: {current.folder}; next: {shlex.join(following)}, or {on_run('eval', current)}")
 
 
 @app.command(epilog="Example: sfmrl rl --reward sfm --episodes 3000")
@@ -116,5 +116,4 @@ def rl(
     print_metrics(result, f"test of {title}, the network alone")
     if "with_recovery" in result:
         print_metrics(result["with_recovery"], f"test of {title}")
-    folder = shlex.quote(str(current.folder))
-    say(f"done: {current.folder}; next: sfmrl eval {folder}, sfmrl ascii-render {folder}")
+    say(f"done: {current.folder}; next: {on_run('eval', current)}, {on_run('ascii-render', current)}")

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
 from typing import get_args
 
 import pytest
@@ -30,6 +31,7 @@ from sfmrl.network import Sizes, ValueNetwork
 from sfmrl.policies import POLICIES
 from sfmrl.rewards import REWARDS
 from sfmrl.scenarios import ENVIRONMENTS
+from sfmrl.session import on_run
 from sfmrl.variants import MIXES, PRESETS, VARIANTS, make_config
 from sfmrl.weights import load_weights
 
@@ -365,6 +367,13 @@ def test_what_to_type_next_can_be_typed(sfmrl: Call, tmp_path: Path):
     assert "from imitation run my run" in done.stderr
     for words in (test, *re.findall(r"sfmrl (.*?)(?=, |$)", done.stderr.splitlines()[-1])):
         assert shlex.split(words)[1] == ("my run" if words is test else "it's")
+
+
+def test_what_to_type_says_to_trust_the_reward_of_a_run_that_needs_it():
+    run = SimpleNamespace(folder=Path("my run"), config=Config(reward=Reward(reward="mine.py:mine")))
+    assert on_run("rl --resume", run) == "sfmrl rl --resume 'my run' --trust-reward"
+    run.config = Config(reward=Reward(reward="sfm"))
+    assert on_run("eval", run) == "sfmrl eval 'my run'"
 
 
 def test_results_go_to_standard_output_and_what_to_do_next_to_standard_error(sfmrl: Call, tmp_path: Path):
