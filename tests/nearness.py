@@ -1,17 +1,16 @@
 """Is printed output what a page shows, on a machine that computes other bits: the same words, and near numbers.
 
 Four of five lines must have the same words. In these, of two values with intervals beside or below them one must lie in
-the other's interval; losses, and times in tables, may differ by 5 %, other fractions by a quarter, counts by three or a
-quarter. Of a drawing, four of five signs must be the same.
+the other's interval; losses, and times in tables, may differ by 5 %, rates (.010) by 0.03, other fractions by a quarter,
+counts by three or a quarter. Of a drawing, four of five signs must be the same.
 """
 
 import math
 import re
-from collections.abc import Iterator
 from difflib import SequenceMatcher
 
 LINES, FINE, COARSE = 0.8, 0.05, 0.25
-LEAST = {True: 0.002, False: 3.0}  # a difference of a fraction, or of a count, that is always near
+FEW = {"rate": 0.03, "fraction": 0.002, "count": 3.0}  # differences that are always near
 NUMBER = r"[-+]?\d*\.?\d+"
 BOUNDS = rf"({NUMBER})(?:-| to )({NUMBER})"
 VALUE = re.compile(rf"({NUMBER})(?: *\(?{BOUNDS}\)?)?( s\b)?")
@@ -51,8 +50,10 @@ def _numbers_near(shown: re.Match, printed: re.Match, in_table: bool) -> bool:
         return _within(other, shown) or _within(one, printed)
     decimals = len(shown[1].partition(".")[2])
     fine = decimals > 6 or (in_table and shown[4])  # a loss, or a time
-    slack = max(LEAST["." in shown[1]], 10.0**-decimals) if not fine else 0.0
-    return abs(one - other) <= max((FINE if fine else COARSE) * max(abs(one), abs(other)), slack)
+    if fine:
+        return abs(one - other) <= FINE * abs(one)
+    kind = "rate" if shown[1].startswith(".") else "fraction" if decimals else "count"
+    return abs(one - other) <= max(COARSE * max(abs(one), abs(other)), FEW[kind], 10.0**-decimals)
 
 
 def _within(value: float, interval: re.Match) -> bool:
@@ -61,11 +62,6 @@ def _within(value: float, interval: re.Match) -> bool:
 
 
 def _drawn_alike(shown: str, printed: str) -> bool:
-    pairs = list(zip(_signs(shown), _signs(printed), strict=False))
-    signs = [one == other for one, other in pairs if (one, other) != (" ", " ")]
-    return shown.count("\n") == printed.count("\n") and sum(signs) >= LINES * len(signs)
-
-
-def _signs(text: str) -> Iterator[str]:
-    """The signs of a drawing, line by line, each line filled up to 200 with spaces."""
-    return iter("".join(line.ljust(200) for line in text.rstrip().splitlines()))
+    one, other = ("".join(line.ljust(200) for line in text.rstrip().splitlines()) for text in (shown, printed))
+    equal = [a == b for a, b in zip(one, other, strict=False) if (a, b) != (" ", " ")]
+    return len(one) == len(other) and sum(equal) >= LINES * len(equal)

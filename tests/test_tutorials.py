@@ -118,7 +118,7 @@ def test_output_is_compared_as_it_should_be():
 
 TABLE = "│ all │ 0.900 │ 8.39 s │ 50 │\n│     │ 0.79-0.96 │    │  │"
 DRAWING = "╭─ orca ──╮\n│  ⡠ @⇒ 4 │\n│    ★    │\n╰─────────╯"
-COMPARED = "sarl .990 .946-.998 10.24\nsarl-sfm2 .010 (-.020 to .030) 1.000"
+COMPARED = "sarl .990 .946-.998 .010 10.24\nsarl-sfm2 .010 (-.020 to .030) 1.000"
 
 
 @pytest.mark.parametrize(
@@ -133,11 +133,15 @@ COMPARED = "sarl .990 .946-.998 10.24\nsarl-sfm2 .010 (-.020 to .030) 1.000"
         (TABLE, TABLE.replace("0.900", "0.700").replace("0.79-0.96", "0.56-0.81"), False),
         (TABLE, TABLE.replace("8.39", "9.39"), False),
         (TABLE, TABLE.replace("50", "80"), False),
-        (COMPARED, COMPARED.replace(".990 .946-.998", "1.000 .963-1.000").replace(".010 (-.020", ".000 (-.030"), True),
+        (
+            COMPARED,
+            COMPARED.replace(".990 .946-.998 .010", "1.000 .963-1.000 .000").replace(".010 (-.020", ".000 (-.030"),
+            True,
+        ),
         (COMPARED, COMPARED.replace(".990 .946-.998", ".900 .826-.945"), False),
         ("\n".join("abcdef"), "\n".join("abcde"), True),
         ("\n".join("abcdef"), "\n".join("abcd"), False),
-        (DRAWING, DRAWING.replace("⡠", "⠤"), True),
+        (DRAWING, DRAWING.replace("⡠", "⠤") + "\n\n", True),
         (DRAWING, DRAWING.replace("│  ⡠ @⇒ 4 │", "│4  ⇐@  ⠤│"), False),
     ],
 )
