@@ -1,7 +1,7 @@
 """Is printed output what a page shows, on a machine that computes other bits: the same words, and near numbers.
 
 Four of five lines must have the same words. In these, of two values with intervals beside or below them one must lie in
-the other's interval; losses, and times in tables, may differ by 5 %, rates (.010) by 0.03, other fractions by a quarter,
+the other's interval; losses and times in tables may differ by 5 %, rates (.010) by 0.03, other fractions by a quarter,
 counts by three or a quarter. Of a drawing, four of five signs must be the same.
 """
 
