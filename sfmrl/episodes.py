@@ -15,7 +15,7 @@ from sfmrl.config import Config, ConfigError, Planner, Reward, Simulation
 from sfmrl.crowd import World, advance, crowd_velocities, reset, transition
 from sfmrl.geometry import length
 from sfmrl.lookahead import Policy, step_discount
-from sfmrl.own_code import fault, is_write, kind, name_of, numbers, read_only
+from sfmrl.own_code import fault, is_write, kind, name_of, numbers, read_only, takes_two
 from sfmrl.policies import find_policy
 from sfmrl.rewards import OUTCOMES, RUNNING, OwnReward, Terms, Transition, as_reward, reward_terms, total
 from sfmrl.scenarios import Scenes
@@ -183,10 +183,10 @@ def _choice(policy: Policy, world: World, moves: np.ndarray) -> np.ndarray:
     name = f"policy {name_of(policy)}"
     try:
         given = policy(read_only(world), read_only(moves))
-    except (ValueError, AttributeError) as error:
-        if not is_write(error):
+    except (ValueError, AttributeError, TypeError) as error:
+        if not is_write(error) and takes_two(policy):
             raise
-        raise fault(name, policy, error) from error
+        raise fault(name, policy, error, "(world, crowd_velocity)") from error
     action = numbers(name, policy, given, (len(world), 2), "a velocity (x, y) in m/s for each episode")
     speed, v_pref = length(action), world.v_pref[:, 0]
     if (speed > v_pref + TOLERANCE).any():

@@ -6,6 +6,7 @@ A reward that a run or weights file names is `Untrusted` and is not run: code do
 
 import hashlib
 import importlib
+import inspect
 import runpy
 import shlex
 import traceback
@@ -41,10 +42,25 @@ def is_write(error: BaseException) -> bool:
     return isinstance(error, FrozenInstanceError) or (type(error) is ValueError and "read-only" in str(error))
 
 
-def fault(who: str, function: Callable, error: BaseException) -> ConfigError:
+def takes_two(function: Callable) -> bool:
+    """Whether a function can be called with two arguments, as rewards and policies are."""
+    try:
+        inspect.signature(function).bind(None, None)
+    except TypeError:
+        return False
+    except ValueError:  # compiled, without a signature
+        pass
+    return True
+
+
+def fault(who: str, function: Callable, error: BaseException, arguments: str) -> ConfigError:
     """The error to raise where a user's function has raised `error`: its line of code, and what to change."""
     if is_write(error):
         remedy = "what it is given is read-only: work on a copy, as numpy.array(...) makes one"
+    elif isinstance(error, TypeError) and not takes_two(function):
+        remedy = f"define it with two arguments, {arguments}"
+    elif type(error) is ValueError and "truth value of an array" in str(error):
+        remedy = "it is given whole arrays: choose with numpy.where or numpy.select instead of if"
     elif isinstance(error, Exception):
         remedy = "correct that line"
     else:

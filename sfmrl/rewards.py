@@ -148,7 +148,7 @@ def _checked(own: OwnReward, settings: Reward, name: str) -> Callable[[Transitio
         except KeyboardInterrupt:
             raise
         except BaseException as error:
-            raise fault(f"reward {name}", own, error) from error
+            raise fault(f"reward {name}", own, error, "(transition, settings)") from error
         shape = np.shape(transition.outcome)
         return {"reward": numbers(f"reward {name}", own, paid, shape, "one number a transition")}
 

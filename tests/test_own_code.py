@@ -78,6 +78,12 @@ def widens(transition, settings):
 def breaks(transition, settings):
     return np.full(transition.time.shape, np.nan)
 
+def takes_one(transition):
+    return transition.time
+
+def asks(transition, settings):
+    return 1.0 if transition.outcome == 1 else 0.0
+
 def errs(transition, settings):
     return calm(transition, settings) * transition.speed
 """
@@ -113,6 +119,7 @@ def was_run(own: Path) -> bool:
         ("stops", 'sys.exit("enough")', "SystemExit: enough; it must return, and not end the program"),
         ("closes", "raise GeneratorExit", "GeneratorExit; it must return, and not end the program"),
         ("errs", "return calm(transition, settings) *", "AttributeError: .*speed.*; correct that line"),
+        ("asks", "return 1.0 if", "ValueError: The truth value .*; it is given whole arrays: choose with numpy.where"),
         ("forgets", "def forgets", r"returned None; it must return an array of shape \(3,\), one number a transition"),
         ("yields", "def yields", "returned a generator; it must return an array"),
         ("speaks", "def speaks", "returned 'calm'; it must return an array"),
@@ -125,6 +132,11 @@ def test_a_reward_s_slip_is_one_line_with_its_file_and_line_and_what_to_change(o
     with pytest.raises(ConfigError, match=rf"^reward own.py:{function} \(line {line_of(line)}\) .*{said}") as caught:
         play(SCENES, "linear", reward=f"own.py:{function}")
     assert "\n" not in str(caught.value)
+
+
+def test_a_reward_of_one_argument_is_an_error_that_names_both(own):
+    with pytest.raises(ConfigError, match=r"takes_one.*; define it with two arguments, \(transition, settings\)$"):
+        play(SCENES, "linear", reward="own.py:takes_one")
 
 
 def assert_same_episodes(one: Record, other: Record) -> None:
@@ -188,6 +200,7 @@ def moves_its_goal(world, moves):
             lambda world, moves: np.full((3, 2), 1.0),
             "of 1.414 m/s; it must return none above v_pref, 1 m/s",
         ),
+        (lambda world: world.velocity[:, 0], "define it with two arguments, (world, crowd_velocity)"),
         (pushes_people, "policy pushes_people (line "),
         (sits_on_its_goal, "read-only; what it is given is read-only: work on a copy"),
         (moves_its_goal, "cannot assign to field 'goal'; what it is given is read-only"),
@@ -209,6 +222,8 @@ def test_scenes_by_name_are_an_error_that_says_how_to_make_them():
 def test_an_error_of_a_policy_s_own_stays_what_it_is():
     with pytest.raises(ZeroDivisionError):
         play(SCENES, lambda world, moves: 1 / 0)
+    with pytest.raises(TypeError, match="len"):
+        play(SCENES, lambda world, moves: len(5))
 
 
 def test_a_robot_that_must_not_move_may_stand():
@@ -285,7 +300,7 @@ def test_a_run_with_a_reward_of_its_own_goes_on_only_if_that_is_trusted(own, com
     create_run("il", config, Path("run"))
     assert was_run(own)
     done = command("il", "--resume", "run")
-    assert (done.returncode, done.stderr.count("\n")) == (2, 2)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "--trust-reward" in done.stderr
     assert not was_run(own)
     same = ("--reward", "own.py:calm", "--episodes", "2", "--epochs", "1")
