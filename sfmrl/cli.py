@@ -4,6 +4,8 @@ Exit codes: 0 done, 1 failed, 2 wrong use, 130 interrupted (by Ctrl-C, SIGTERM o
 by the commands that need them.
 """
 
+import inspect
+import re
 import sys
 from typing import Annotated
 
@@ -32,6 +34,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for commands in (training_commands, evaluation_commands, replay_commands, table_commands, teaching_commands):
+    for command in commands.app.registered_commands:  # Typer would keep the line ends of all paragraphs but the first
+        command.help = re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(command.callback.__doc__))
     app.add_typer(commands.app)
 
 

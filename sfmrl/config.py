@@ -99,10 +99,10 @@ class Simulation(_Checked):
     safety_space: float = knob(0.0, "added to every radius when ORCA drives the robot, m", least=0, most=10)
     clearance: float = knob(0.01, "added to every radius inside ORCA, m (CrowdNav)", least=0, most=10)
     neighbor_distance: float = knob(10.0, "ORCA: agents farther away are ignored, m (CrowdNav)", least=0, most=1e6)
-    max_neighbors: int = knob(10, "ORCA: only so many nearest agents count (CrowdNav)", least=0, most=1000)
-    time_horizon: float = knob(5.0, "ORCA: looks so far ahead for agents, s (CrowdNav)", least=1e-3, most=1000)
+    max_neighbors: int = knob(10, "ORCA: number of nearest agents considered (CrowdNav)", least=0, most=1000)
+    time_horizon: float = knob(5.0, "ORCA: how far ahead agents are avoided, s (CrowdNav)", least=1e-3, most=1000)
     obstacle_time_horizon: float = knob(
-        5.0, "ORCA: looks so far ahead for polygons, s (CrowdNav)", least=1e-3, most=1000
+        5.0, "ORCA: how far ahead polygons are avoided, s (CrowdNav)", least=1e-3, most=1000
     )
 
     def __post_init__(self) -> None:
@@ -145,13 +145,13 @@ class Planner(_Checked):
     """Recovery at play, and the grid on which ways around squares are measured."""
 
     recover: bool = knob(False, "at play, lead a robot that is stuck around squares, look farther for traps (ours)")
-    stall_time: float = knob(2.0, "recover: after so long without progress the robot is stuck, s", least=0, most=3600)
-    stall_distance: float = knob(
-        0.25, "recover: progress is to shorten the way around squares by this, m", least=0, most=1000
+    stall_time: float = knob(
+        2.0, "recover: time without progress after which the robot is stuck, s", least=0, most=3600
     )
-    resolution: float = knob(0.1, "way around squares: side of the grid's cells, m", least=0.02, most=10)
+    stall_distance: float = knob(0.25, "recover: progress is a path to the goal shorter by this, m", least=0, most=1000)
+    resolution: float = knob(0.1, "paths around squares: side of the grid's cells, m", least=0.02, most=10)
     inflation: float = knob(
-        0.1, "way around squares: nearer to a square than this it counts as longer, m", least=0, most=10
+        0.1, "paths around squares: nearer to a square than this, a path counts as longer, m", least=0, most=10
     )
 
 
@@ -199,10 +199,16 @@ class Reinforcement(_Checked):
     memory: int = knob(100_000, "states kept to learn from (CrowdNav)", least=1, most=10_000_000)
     keep_timeouts: bool = knob(False, "learn from time-outs too, as worth 0 at their end (ours; CrowdNav drops them)")
     average: int = knob(
-        0, "test with weights averaged over so many batches (Polyak, 1992); 0: off", least=0, most=10_000_000
+        0,
+        "number of batches over which the tested weights are averaged (Polyak, 1992); 0: off",
+        least=0,
+        most=10_000_000,
     )
-    environment: str = knob("table1", "environments to train in, and their shares; rl tests there too")
-    test_environment: str = knob("table1", "environments of validation and test (paper: table 1's mix in all its rows)")
+    environment: str = knob("table1", "environments to train in, and their shares")
+    test_environment: str = knob(
+        "table1",
+        "environments of validation and test, unless --environment is given alone (paper: table 1's mix in all rows)",
+    )
     validation_interval: int = knob(1000, "episodes between validations", least=1, most=10_000_000)
     validation_episodes: int = knob(100, "episodes of a validation", least=1, most=EPISODES)
     test_episodes: int = knob(500, "episodes of the final test", least=1, most=EPISODES)

@@ -23,7 +23,7 @@ TITLES = {
     "imitation": "Schedule",
     "reinforcement": "Schedule",
 }
-
+SWITCHES = "Switches"  # on-off knobs of all sections: their --no-... is a column of its own, too wide beside long names
 
 NUMBERS = 2**31 - 1  # of episodes
 DEFAULTS = {preset: make_config(preset) for preset in PRESETS}
@@ -57,7 +57,7 @@ Resume = Annotated[
     ),
 ]
 Continue = Annotated[
-    bool, option("if --run is there already, go on with it; leave it be if it is finished", "--continue")
+    bool, option("if --run is there already, go on with it; do nothing if it is finished", "--continue")
 ]
 Overwrite = Annotated[bool, option("replace what is there already", "--overwrite")]
 Variant = Annotated[
@@ -74,7 +74,7 @@ PolicyName = Annotated[
 Environment = Annotated[
     str | None,
     option(
-        f"1 to 5, circle, circle5, {', '.join(MIXES)} or shares, 1:0.7,2:0.3 (default the policy's test mix)",
+        f"1 to 5, circle, circle5, maps, {', '.join(MIXES)} or shares, 1:0.7,2:0.3 (default the policy's test mix)",
         autocompletion=completion.environments,
     ),
 ]
@@ -93,8 +93,8 @@ MapFile = Annotated[
 Humans = Annotated[
     int | None,
     number_option(
-        "so many humans on the circle instead of the environment's own; from 11 on the circle grows from 4 m by 0.4 m "
-        "each, so that they start as close together (default the environment's)",
+        "number of humans, on the circle, instead of the environment's own; from 11 on, its radius grows from 4 m by "
+        "0.4 m each, so that they start equally close (default the environment's)",
         0,
         200,
     ),
@@ -153,12 +153,13 @@ def _parameter(section: str, name: str) -> inspect.Parameter:
         default = "default quick"
     choices = f" ({' | '.join(knob.metadata['choices'])})" if knob.metadata["choices"] else ""
     flag = "--" + name.replace("_", "-")
-    flags = (f"{flag}/--no-{flag[2:]}",) if isinstance(knob.default, bool) else (flag,)
+    switch = isinstance(knob.default, bool)
+    flags = (f"{flag}/--no-{flag[2:]}",) if switch else (flag,)
     option = typer.Option(
         *flags,
         help=f"{knob.metadata['help']}{choices} ({default})",
         show_default=False,
-        rich_help_panel=TITLES[section],
+        rich_help_panel=SWITCHES if switch else TITLES[section],
         autocompletion=_completion(name, knob.metadata["choices"]),
     )
     kind = type(knob.default) | None

@@ -23,7 +23,7 @@ from sfmrl.lookahead import Policy, SarlPolicy
 from sfmrl.policies import WEIGHTS
 from sfmrl.progress import Progress, no_progress
 from sfmrl.recovery import with_recovery
-from sfmrl.runs import Run, create_run, open_run
+from sfmrl.runs import Run, check_names, create_run, open_run
 from sfmrl.states import column_names
 from sfmrl.stopping import Interrupted, StopSignal
 from sfmrl.weights import load_weights, network_from, save_weights
@@ -143,6 +143,7 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
     A run fits that was made under the same preset, seed and simulation; its reward and state do not matter. Raises
     ConfigError, with what to type, where there is none.
     """
+    check_names(config)  # before an imitation run is missed, which takes minutes to make
     if from_scratch:
         return create_run("rl", config, folder, **existing)
     if source is not None and source.is_file():

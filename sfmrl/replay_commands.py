@@ -46,7 +46,7 @@ def ascii_render(
     human_speed: HumanSpeed = None,
     speed: Annotated[float, number_option("times real time (default 2)", 0.01, 64)] = 2.0,
     frames: Annotated[
-        int | None, number_option("so many stills instead of playing (default a pipe 6, SVG 1)", 1, 10_000)
+        int | None, number_option("number of stills, instead of playing (default a pipe 6, SVG 1)", 1, 10_000)
     ] = None,
     at: Annotated[float | None, number_option("the still at this time, in s, instead of playing", 0, 3600)] = None,
     size: Annotated[str | None, option("COLUMNSxLINES (default the terminal's; in files 80x24)")] = None,

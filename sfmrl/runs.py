@@ -162,6 +162,14 @@ class Run:
         write_atomically(self.folder / name, (json.dumps(content, indent=2) + "\n").encode(), checked=False)
 
 
+def check_names(config: Config) -> None:
+    """Raise ConfigError where the config names an environment or a reward that does not exist."""
+    schedule = config.reinforcement
+    for environment in (config.imitation.environment, schedule.environment, schedule.test_environment):
+        parse_mix(environment)
+    reward_terms(config.reward)
+
+
 def create_run(
     kind: str,
     config: Config,
@@ -180,10 +188,8 @@ def create_run(
     is opened instead, if it has this very config. `imitation` is the run that this one goes on from; it is kept
     relative to the new folder, so that both can be moved. `facts` go into run.json.
     """
+    check_names(config)
     schedule = config.reinforcement
-    for environment in (config.imitation.environment, schedule.environment, schedule.test_environment):
-        parse_mix(environment)
-    reward_terms(config.reward)
     if go_on and folder is not None and kind_of(folder):
         return _same_run(folder, kind, config)
     config = replace(config, precision=resolved(config.precision))

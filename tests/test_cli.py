@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import get_args
@@ -461,6 +462,27 @@ def test_help_answers_without_numpy_or_torch(command):
     if command:
         assert "default" in done.stdout or command == "doctor"  # which takes no options
         assert "Example: sfmrl" in done.stdout
+
+
+@pytest.mark.parametrize("command", ["", *COMMANDS])
+def test_help_fits_into_80_columns(command, in_process: Call, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = in_process(*command.split(), "--help").stdout.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert not [line for line in lines if "…" in line]  # an option's name cut off
+    prose = [line.rstrip() for line in lines[3 : next(n for n, line in enumerate(lines) if line.startswith("╭"))]]
+    short = [
+        (line, after) for line, after in pairwise(prose) if line and after and len(line) + len(after.split()[0]) < 78
+    ]
+    assert not short  # lines that end where the docstring's did
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(("--reward", "sfmm"), "did you mean sfm?"), (("--environment", "7"), "there is no environment '7'")],
+)
+def test_a_wrong_name_is_an_error_before_a_missing_imitation_run_is(words, said, in_process: Call):
+    assert_one_line_error(in_process("rl", *words), said)
 
 
 def test_help_shows_the_config_s_own_defaults(sfmrl: Call):
