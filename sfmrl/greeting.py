@@ -14,9 +14,10 @@ def greeting() -> str:
     if folders and not finished(folders[0]):
         lines.append(unfinished(folders[0]))
     commands = {
-        "sfmrl il && sfmrl rl --reward sfm": "train a robot, in about two minutes",
+        "sfmrl il && sfmrl rl --reward sfm": "train a robot (two minutes)",
         f"sfmrl eval {policy}": "test it on 500 episodes",
         f"sfmrl ascii-render {policy}": "watch it",
         "sfmrl --help": "all commands",
     }
-    return "\n".join([*lines, *(f"  {command:36} {words}" for command, words in commands.items())])
+    width = max(map(len, commands))
+    return "\n".join([*lines, *(f"  {command:{width}}  {words}" for command, words in commands.items())])
