@@ -4,7 +4,6 @@ They are given what they cannot change, so that none can forge a result, and eac
 A reward that a run or weights file names is `Untrusted` and is not run: code does not travel with files.
 """
 
-import hashlib
 import importlib
 import inspect
 import runpy
@@ -18,22 +17,26 @@ from typing import Any
 import numpy as np
 
 from sfmrl.config import Config, ConfigError, Reward, Untrusted, suggest
+from sfmrl.files import digest_of
 
 
 class UntrustedReward(ConfigError):
     """A reward that is not run, since a file has named it and not the user."""
 
 
-def read_only(thing: Any) -> Any:
-    """An array, or a dataclass of arrays, as a view that cannot be written to."""
+def read_only(thing: Any, copy: bool = True) -> Any:
+    """An array, or a dataclass of arrays, as a copy that cannot be written to; dataclasses in it become views.
+
+    A copy, since whoever is given a view can make it writeable; what is in a world's parts decides no outcome.
+    """
     if isinstance(thing, np.ndarray):
-        thing = thing.view()
+        thing = np.array(thing) if copy else thing.view()
         thing.flags.writeable = False
     elif is_dataclass(thing):
         parts = {item.name: getattr(thing, item.name) for item in fields(thing)}
-        views = {name: read_only(part) for name, part in parts.items()}
-        if any(views[name] is not part for name, part in parts.items()):
-            return replace(thing, **views)
+        copies = {name: read_only(part, copy and not is_dataclass(part)) for name, part in parts.items()}
+        if any(copies[name] is not part for name, part in parts.items()):
+            return replace(thing, **copies)
     return thing
 
 
@@ -75,7 +78,7 @@ def numbers(who: str, function: Callable, returned: Any, shape: tuple[int, ...],
     who += f" (line {line})" if line else ""
     try:
         array = None if returned is None else np.asarray(returned, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, RuntimeError):  # the last of a tensor that requires a gradient
         array = None
     if array is None or array.shape != shape:
         what = kind(returned) if array is None or not array.ndim else f"an array of shape {array.shape}"
@@ -134,7 +137,7 @@ def absolute(name: str) -> str:
 def reward_digest(settings: Reward) -> str | None:
     """SHA-256 of the file that an own reward is in, None without a file; raises ConfigError if it is missing."""
     file = _file(settings.reward)
-    return hashlib.sha256(file.read_bytes()).hexdigest() if file else None
+    return digest_of(file) if file else None
 
 
 def _file(name: str) -> Path | None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from sfmrl.cli import main
 from sfmrl.config import Config, ConfigError, Reward, Untrusted
@@ -163,6 +164,17 @@ def test_a_reward_may_be_a_function_with_the_numbers_of_the_same_one_in_a_file(o
         play(SCENES, "orca", reward=5)
 
 
+def test_a_policy_that_goes_round_its_limits_forges_nothing_all_the_same():
+    def goes_round(world, moves):
+        for array in (world.position, world.position.base):
+            if array is not None:
+                array.flags.writeable = True
+                array[:, 0] = world.goal[:, 0]
+        return np.zeros((len(world), 2))
+
+    assert (play(SCENES, goes_round).outcome == "timeout").all()
+
+
 def straight(world, moves):
     return world.preferred_velocity[:, 0]
 
@@ -191,6 +203,7 @@ def moves_its_goal(world, moves):
     [
         (lambda world, moves: None, "returned None; it must return an array of shape (3, 2), a velocity (x, y) in m/s"),
         (lambda world, moves: 1.0, "returned 1.0; it must"),
+        (lambda world, moves: torch.zeros(3, 2, requires_grad=True), "returned a Tensor; it must"),
         (lambda world, moves: "east", "returned 'east'; it must"),
         (lambda world, moves: np.zeros(2), "returned an array of shape (2,); it must return an array of shape (3, 2)"),
         (lambda world, moves: moves, "returned an array of shape (3, 6, 2); it must"),
