@@ -16,6 +16,7 @@ from sfmrl.states import OWN, column_names
 
 WRAPPERS = ("state_dict", "model_state_dict", "model")  # keys under which a file may hold its parameters
 PREFIXES = ("module.", "model.")  # before all names: of DataParallel, of a network that is a part of something
+MOST_WRAPPERS = 4
 UNITS = 4096  # of a layer at most
 CADRL, LSTM_RL = "value_network.", "lstm."  # beginnings of the parameters' names of CrowdNav's other networks
 NO_WEIGHTS = {  # beginnings of files that are something else
@@ -51,8 +52,9 @@ def network_from(state_dict: Any, source: str, value_prior: bool = False, precis
 
 def unwrapped(content: Any) -> Any:
     """What the usual wrappers hold: {"state_dict": ...} and the like, and "module." before every name."""
-    while isinstance(content, dict) and (keys := [key for key in WRAPPERS if isinstance(content.get(key), dict)]):
-        content = content[keys[0]]
+    for _ in range(MOST_WRAPPERS):  # one may hold itself
+        keys = [key for key in WRAPPERS if isinstance(content, dict) and isinstance(content.get(key), dict)]
+        content = content[keys[0]] if keys else content
     for prefix in PREFIXES * isinstance(content, dict):
         if content and all(str(name).startswith(prefix) for name in content):
             content = {name.removeprefix(prefix): value for name, value in content.items()}
@@ -86,7 +88,7 @@ def architecture(parameters: Any) -> tuple[bool, Sizes]:
         )
         if not dense or not value.is_floating_point() or value.dim() != (2 if name.endswith("weight") else 1):
             raise ValueError(f"{name} is not a plain tensor of floating-point numbers")
-        if not 0 < max(value.shape) <= UNITS:
+        if not 0 < min(value.shape) <= max(value.shape) <= UNITS:
             raise ValueError(f"{name} is {tuple(value.shape)}; a layer has 1 to {UNITS} units")
     units, inputs = ([parameters[name].shape[k] for name in known[::2]] for k in (0, 1))
     sizes = Sizes(tuple(units[:2]), tuple(units[2:4]), (*units[4:6], 1), (*units[7:10], 1))

@@ -288,6 +288,8 @@ def test_crowdnav_s_output_folder_plays_its_network_and_says_what_it_was_trained
     assert other_habits(path, robot_visible=True) == []
 
 
+ENDLESS = {}
+ENDLESS["state_dict"] = ENDLESS
 GOOD = {"weights": ValueNetwork().state_dict(), "config": Config().to_json()}
 FOREIGN = {
     "empty": b"",
@@ -354,6 +356,8 @@ FOREIGN |= {
     "a complex layer": altered(mlp1_0_weight=torch.zeros(150, 13, dtype=torch.complex64)),
     "a layer that is endless": altered(mlp1_0_weight=torch.zeros(1, 1).expand(2**30, 2**30)),
     "layers with nothing": altered(mlp1_0_weight=torch.zeros(0, 13), mlp1_0_bias=torch.zeros(0)),
+    "weights with nothing": altered(mlp1_0_weight=torch.zeros(0, 13)),
+    "a wrapper that holds itself": saved(ENDLESS),
     "numbers for layers": saved(dict.fromkeys(GOOD["weights"], 0.5)),
     "keys that are numbers": saved({3: torch.zeros(3)}),
 }
