@@ -3,14 +3,13 @@
 Whoever computes the digests anew can deceive the first, but not the last.
 """
 
-import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from sfmrl.config import ConfigError
-from sfmrl.files import SUMS, DamagedFile, read_sums
+from sfmrl.files import SUMS, DamagedFile, digest_of, read_regular, read_sums
 from sfmrl.folders import BEST, DEMONSTRATIONS, MAP, TABLES, WEIGHTS, unfinished
 from sfmrl.layouts import DRAWN
 from sfmrl.own_code import UntrustedReward, reward_digest, trusted
@@ -107,11 +106,11 @@ def _sums(folder: Path) -> str:
         if Path(name).name != name or not path.is_file():
             if not CHECKPOINT.fullmatch(name):  # a training may have been killed while it removed its checkpoints
                 bad.append(f"{name} is listed, but not here")
-        elif hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+        elif digest_of(path) != digest:
             bad.append(f"{name} is not what was written")
     must = ("config.json", "run.json", WEIGHTS, BEST, DEMONSTRATIONS)
     bad += [f"{name} is not listed" for name in must if (folder / name).exists() and name not in sums]
-    if (folder / SUMS).read_bytes().count(b"\n") != len(sums):
+    if read_regular(folder / SUMS).count(b"\n") != len(sums):
         bad.append("it has lines that list no file")
     if bad:
         raise Disagreement("; ".join(bad))
@@ -131,7 +130,7 @@ def _tables(run: Run) -> str | Finding:
         settings = run.config.reinforcement
         must += ["validation.csv", "test.csv", "result.json"]
         must += ["test-best.csv"] * settings.test_best + [MAP] * settings.environment.startswith(DRAWN)
-    if not listed:
+    if not listed and "bits" not in run.facts["versions"]:
         return Finding("tables", None, f"an earlier version made the run: no digests of {', '.join(must)}")
     if missing := [name for name in must if name not in listed]:
         raise Disagreement(f"not listed in {SUMS}: {', '.join(missing)}")

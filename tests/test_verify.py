@@ -250,13 +250,14 @@ def test_a_run_from_before_test_csv_is_held_to_its_failures(copy):
     run = copy / "rl"
     remove_checked([run / name for name in ("test.csv", "test-best.csv")])
     unlist({"metrics.csv", "validation.csv", "result.json"}, run)
+    assert wrong(run) == {"tables"}  # whoever records bits lists tables, too
+    assert remade(run, lambda made: made.pop("bits"))["tables"].agrees is None
     assert wrong(run) == set()
-    assert findings(run)["tables"].agrees is None
     kept = json.loads((run / "result.json").read_text())
     succeeded = min(set(range(6)) - {failure["episode"] for failure in kept["failures"]})
     kept["failures"].append({"episode": succeeded, "environment": "1", "outcome": "collision"})
     (run / "result.json").write_text(json.dumps(kept))
-    assert wrong(run) == {"result.json", "replay"}
+    assert wrong(run, tolerance=0.0) == {"result.json", "replay"}
 
 
 @pytest.mark.parametrize("name", ["SHA256SUMS", "run.json", "config.json", "metrics.csv", "validation.csv", "test.csv"])
