@@ -12,6 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from sfmrl.config import counted
+from sfmrl.files import read_regular, regular
 from sfmrl.folders import finished
 from sfmrl.progress import Progress
 from sfmrl.stopping import Interrupted, StopSignal
@@ -81,7 +82,7 @@ def report(failed: list[Job]) -> None:
 def _start(job: Job) -> subprocess.Popen:
     """Its process, which a Ctrl-C in this terminal does not reach."""
     _log(job).parent.mkdir(parents=True, exist_ok=True)
-    with open(_log(job), "a") as log:
+    with open(regular(_log(job)), "a") as log:
         words = [sys.executable, "-m", "sfmrl", *job.words]
         return subprocess.Popen(
             words, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
@@ -103,7 +104,7 @@ def _log(job: Job) -> Path:
 
 
 def _last_line(path: Path) -> str:
-    lines = path.read_text(errors="replace").strip().splitlines() if path.exists() else []
+    lines = read_regular(path).decode(errors="replace").strip().splitlines() if path.exists() else []
     return lines[-1].strip() if lines else "it said nothing"
 
 
@@ -112,5 +113,5 @@ def _played(job: Job) -> int:
     path = job.folder / "metrics.csv"
     if not job.episodes or not path.exists():
         return 0
-    with open(path, "rb") as file:
+    with open(regular(path), "rb") as file:
         return max(0, sum(1 for _ in file) - 1)

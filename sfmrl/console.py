@@ -150,3 +150,5 @@ def new_file(path: Path | None, flag: str, overwrite: bool) -> None:
         raise ConfigError(f"{path} is there already; name another --{flag}, or replace it with --overwrite")
     if not path.parent.is_dir():
         raise ConfigError(f"there is no folder {path.parent} for --{flag} {path.name}")
+    if not os.access(path.parent, os.W_OK):
+        raise ConfigError(f"nothing can be written to folder {path.parent}; name another --{flag}")

@@ -8,7 +8,7 @@ import typer
 
 from sfmrl.config import ConfigError, counted, suggest
 from sfmrl.console import err, new_file, print_metrics, print_sheet, replay_command, say, say_result
-from sfmrl.files import DamagedFile, csv_text
+from sfmrl.files import DamagedFile, csv_text, write_text
 from sfmrl.options import (
     Environment,
     Episodes,
@@ -63,7 +63,7 @@ def evaluate_command(
     record = evaluation_record(chosen, progress=show_progress(err), **how)
     result = metrics(record, chosen)
     if csv:
-        csv.write_text(csv_text(episode_rows(record)))
+        write_text(csv, csv_text(episode_rows(record)))
     if as_json:
         say_result(json.dumps({"policy": name, "environment": environment, "seed": seed} | given | result, indent=2))
         return
@@ -120,7 +120,7 @@ def compare_command(
     records = [evaluation_record(policy, progress=show_progress(err), **how) for policy, _, _ in chosen]
     found = compare(records, [policy for policy, _, _ in chosen], policies)
     if csv:
-        csv.write_text(csv_text(comparison_rows(records, policies)))
+        write_text(csv, csv_text(comparison_rows(records, policies)))
     given, crowd = among(humans, human_speed)
     if as_json:
         say_result(json.dumps({"environment": environment, "seed": seed} | given | found, indent=2))

@@ -6,6 +6,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from sfmrl.config import counted
 from sfmrl.console import out, say_result
 from sfmrl.explanation import Explanation, mark
 
@@ -35,7 +36,7 @@ def print_explanation(explanation: Explanation, shown: list[dict[str, Any]], tit
     _print(_steps_table(explanation, shown))
     marks = [mark(row["event"]) for row in shown]
     meant = [f"{sign} {words}" for sign, words in LEGEND.items() if sign in marks]
-    say_result("; ".join([f"{len(shown)} of {len(steps)} steps", *meant]))
+    say_result("; ".join([f"{len(shown)} of {counted(len(steps), 'step')}", *meant]))
     say_result("gap: smallest in the step, m; push: resultant repulsion, m/s^2")
     if "value" in steps[0]:
         say_result("value: of the action taken; next: of the best of the other 80")

@@ -10,7 +10,7 @@ import json
 import os
 import re
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -53,14 +53,20 @@ def write_together(folder: Path, files: dict[str, bytes], beside: Iterable[str] 
                 os.replace(temporary[name], folder / name)
     except BaseException:
         for path in temporary.values():
-            path.unlink(missing_ok=True)
+            with suppress(OSError):  # of a file system that cannot be written to, whose error is on its way
+                path.unlink()
         raise
     _sync_folder(folder)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a user's text file, whole or as it was; raises OSError, naming it."""
+    write_atomically(path, text.encode(), checked=False)
+
+
 def append(path: Path, data: bytes) -> None:
-    """Add bytes at the end of a file; raises OSError, naming it."""
-    with _naming(path), open(path, "ab") as file:
+    """Add bytes at the end of a file; raises OSError, naming it, and DamagedFile where it is no regular file."""
+    with _naming(path), open(regular(path), "ab") as file:
         file.write(data)
 
 
@@ -145,11 +151,16 @@ def _sync_folder(folder: Path) -> None:
 
 def read_regular(path: Path, most: int = -1) -> bytes:
     """A file's bytes, or its first `most`; raises DamagedFile where it is a folder, a pipe or a device."""
+    with open(regular(path), "rb") as file:
+        return file.read(most)
+
+
+def regular(path: Path) -> Path:
+    """The path; raises DamagedFile where it is a folder, a pipe or a device."""
     path = Path(path)
     if path.exists() and not path.is_file():  # a pipe would be waited for, and a device may have no end
         raise DamagedFile(f"{path} is not a regular file, but a folder, a pipe or a device; name a file")
-    with open(path, "rb") as file:
-        return file.read(most)
+    return path
 
 
 def digest_of(path: Path) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sfmrl.config import ConfigError
-from sfmrl.files import DamagedFile, json_object, read_regular
+from sfmrl.files import DamagedFile, json_object, read_regular, regular
 
 try:
     import fcntl
@@ -56,11 +56,11 @@ def finished(folder: Path) -> bool:
 def in_training(folder: Path) -> bool:
     """Whether a process is training the run in a folder; False where the system cannot tell."""
     try:
-        with open(folder / LOCK) as lock:
+        with open(regular(folder / LOCK)) as lock:
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
-    except (OSError, AttributeError):
+    except (OSError, AttributeError, DamagedFile):
         return False
     return False
 
@@ -69,13 +69,23 @@ def unfinished(folder: Path) -> str:
     """What to say of a run that has not ended: what to type, or that it is being trained now."""
     if in_training(folder):
         return f"{folder} is being trained now; wait until it has ended"
-    return f"{folder} has not ended; go on with it: sfmrl {kind_of(folder) or 'rl'} --resume {shlex.quote(str(folder))}"
+    return f"{folder} has not ended; go on with it: sfmrl {kind_of(folder) or 'rl'} --resume {as_words(folder)}"
+
+
+def as_words(folder: Path) -> str:
+    """What to type to name a run folder, quoted for the shell, with --trust-reward where its reward is the user's."""
+    try:
+        reward = json_object(read_regular(folder / "config.json"))["reward"]["reward"]
+    except (OSError, ValueError, LookupError, TypeError, DamagedFile):
+        reward = ""  # whoever opens the run says what is wrong
+    name = f"./{folder}" if str(folder).startswith("-") else str(folder)  # which would be an option
+    return shlex.join([name, *["--trust-reward"] * (":" in str(reward))])
 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Keep other processes from training in a folder, where the system can; raises ConfigError where one does."""
-    with open(folder / LOCK, "a") as lock:
+    with open(regular(folder / LOCK), "a") as lock:
         for attempt in range(5):  # `in_training` holds the lock, too, for a moment
             try:
                 if fcntl:

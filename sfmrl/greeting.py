@@ -1,15 +1,13 @@
 """What to type next, for whoever types `sfmrl` alone. Quick to import."""
 
-import shlex
-
 from sfmrl import __version__
-from sfmrl.folders import finished, run_folders, unfinished
+from sfmrl.folders import as_words, finished, run_folders, unfinished
 
 
 def greeting() -> str:
     """A few commands and what they do, with the newest finished run (or a model) as their policy."""
     folders = run_folders()
-    policy = next((shlex.quote(folder.as_posix()) for folder in folders if finished(folder)), "sarl-sfm6")
+    policy = next((as_words(folder) for folder in folders if finished(folder)), "sarl-sfm6")
     lines = [f"sfmrl {__version__} teaches a robot to cross a crowd."]
     if folders and not finished(folders[0]):
         lines.append(unfinished(folders[0]))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sfmrl.config import ConfigError, Planner
+from sfmrl.config import ConfigError, Planner, counted
 from sfmrl.geometry import length
 from sfmrl.scenarios import Scenes
 
@@ -94,8 +94,8 @@ def plan(scenes: Scenes, planner: Planner, reach: np.ndarray | None = None) -> G
     columns, rows = size.max(axis=0, initial=0)
     if max(columns, rows) > MOST_ACROSS or len(scenes) * rows * columns > MOST_CELLS:
         raise ConfigError(
-            f"ways around squares take {len(scenes)} grids of {columns:.0f} x {rows:.0f} cells, too many; choose "
-            "nearer goals, a shorter time limit, a coarser resolution or fewer episodes, or play without recovery"
+            f"ways around squares take {counted(len(scenes), 'grid')} of {columns:.0f} x {rows:.0f} cells, too many; "
+            "choose nearer goals, a shorter time limit, a coarser resolution, fewer episodes, or play without recovery"
         )
     size = size.astype(int)
     values = np.full((len(scenes), int(rows), int(columns)), np.inf, dtype=np.float32)

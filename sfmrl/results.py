@@ -5,14 +5,13 @@ same episodes, with the weights that the training ended with, as in the paper; t
 beside them. Validation, test and training episodes are drawn from streams of their own, and never overlap.
 """
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from sfmrl.config import ConfigError
-from sfmrl.files import csv_rows, read_listed
+from sfmrl.files import csv_rows, json_object, read_listed
 from sfmrl.folders import finished
 from sfmrl.tables import run_folder
 
@@ -90,7 +89,7 @@ def _trained(runs: dict[int, Path]) -> Trained:
     tests, validations, metrics = (
         [_columns(run / name) for run in runs.values()] for name in ("test.csv", "validation.csv", "metrics.csv")
     )
-    best = [json.loads(read_listed(run / "result.json"))["best_validation"] for run in runs.values()]
+    best = [json_object(read_listed(run / "result.json"))["best_validation"] for run in runs.values()]
     for name, group, key in (("tested", tests, "episode"), ("validated", validations, "episode")):
         for run, columns in zip(runs.values(), group, strict=True):
             if columns[key] != group[0][key]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sfmrl.config import Reward
+from sfmrl.config import Reward, counted
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.evaluation import RATES, episode_rows, evaluation_record
 from sfmrl.files import csv_rows, json_object, read_listed
@@ -47,7 +47,9 @@ class Replay:
         settings, simulation = run.config.imitation, run.config.simulation
         kept = load_demonstrations(run.folder / DEMONSTRATIONS, simulation)
         if len(kept.steps) != settings.episodes:
-            raise Disagreement(f"it holds {len(kept.steps)} demonstrations, config.json asks for {settings.episodes}")
+            raise Disagreement(
+                f"it holds {counted(len(kept.steps), 'demonstration')}, config.json asks for {settings.episodes}"
+            )
         count = min(self.episodes, settings.episodes)
         scenes = sample_scenes(settings.environment, count, run.config.seed, phase="imitation")
         again = play_episodes(scenes, orca_policy, Reward(), simulation)  # whose paths depend on no reward
@@ -55,13 +57,13 @@ class Replay:
         differ = self._differ(kept.outcome, again.outcome, kept.steps, again.steps)
         moments = again.position.shape[1]
         exact = np.array_equal(kept.position[:, :moments], again.position, equal_nan=True)
-        return self._judged(differ, exact, f"of {settings.episodes} demonstrations, played by ORCA again,")
+        return self._judged(differ, exact, f"of {counted(settings.episodes, 'demonstration')}, played by ORCA again,")
 
     def tests(self, run: Run, weights: str = WEIGHTS, name: str = "test.csv") -> str:
         """Test episodes with the network alone, against their table; in older runs, which have none, the failures."""
         record = self._play(run, self._policy(run, weights))
         count, whole = len(record.steps), run.config.reinforcement.test_episodes
-        what = f"of {whole} test episodes, played by {weights} alone,"
+        what = f"of {counted(whole, 'test episode')}, played by {weights} alone,"
         if not (run.folder / name).exists():
             return self._against_failures(record, _result(run), whole, what)
         kept = csv_rows(read_listed(run.folder / name).decode())[:count]
@@ -74,7 +76,8 @@ class Replay:
         """The same with recovery, of which only the failures are kept."""
         record = self._play(run, with_recovery(self._policy(run, WEIGHTS), run.config.planner))
         whole = run.config.reinforcement.test_episodes
-        return self._against_failures(record, _result(run)["with_recovery"], whole, f"of {whole} test episodes")
+        what = f"of {counted(whole, 'test episode')}"
+        return self._against_failures(record, _result(run)["with_recovery"], whole, what)
 
     def _policy(self, run: Run, weights: str) -> SarlPolicy:
         network, _ = load_weights(run.folder / weights)
@@ -128,7 +131,7 @@ def result(run: Run) -> str:
             sources[name] = [row["outcome"] for row in csv_rows(read_listed(run.folder / name).decode())]
         for source, ends in sources.items():
             if len(ends) != whole or any(round(part[rate] * whole) != ends.count(rate) for rate in RATES):
-                raise Disagreement(f"its rates are not those of {whole} episodes in {source}")
+                raise Disagreement(f"its rates are not those of {counted(whole, 'episode')} in {source}")
     return ", ".join(f"{name} {found[name]:.3f}" for name in RATES)
 
 

@@ -45,6 +45,7 @@ from sfmrl.files import (
     remove_checked,
     unlist,
     write_atomically,
+    write_text,
     write_together,
 )
 from sfmrl.folders import (
@@ -56,6 +57,7 @@ from sfmrl.folders import (
     RUNS,
     TABLES,
     WEIGHTS,
+    as_words,
     finished,
     in_training,
     kind_of,
@@ -150,7 +152,7 @@ class Run:
 
     def write_table(self, name: str, rows: list[dict[str, Any]]) -> None:
         """A CSV file with a line a row, whole or as it was."""
-        write_atomically(self.folder / name, csv_text(rows).encode(), checked=False)
+        write_text(self.folder / name, csv_text(rows))
 
     def append_rows(self, name: str, rows: list[dict[str, Any]]) -> None:
         """Add lines to a CSV file."""
@@ -159,7 +161,7 @@ class Run:
 
     def write_json(self, name: str, content: dict[str, Any]) -> None:
         """A JSON file, whole or as it was."""
-        write_atomically(self.folder / name, (json.dumps(content, indent=2) + "\n").encode(), checked=False)
+        write_text(self.folder / name, json.dumps(content, indent=2) + "\n")
 
 
 def check_names(config: Config) -> None:
@@ -251,7 +253,7 @@ def _refuse(folder: Path, overwrite: bool) -> None:
         ways = [
             "name another --run",
             "replace it with --overwrite",
-            f"go on with it by --resume {shlex.quote(str(folder))}",
+            f"go on with it by --resume {as_words(folder)}",
         ]
         raise ConfigError(f"{folder} is there already; {', or '.join(ways[: 2 + (not finished(folder))])}")
 

@@ -1,6 +1,5 @@
 """What the commands share: from options to configs, runs, policies and threads, and a training that can be stopped."""
 
-import shlex
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -8,6 +7,7 @@ from typing import Any
 
 from sfmrl.config import Config, ConfigError, counted, override
 from sfmrl.console import err, say
+from sfmrl.folders import as_words
 from sfmrl.variants import make_config
 
 
@@ -65,10 +65,7 @@ def use_threads(threads: int | None) -> int:
 
 def on_run(command: str, run: Any) -> str:
     """What to type to use a run, quoted for the shell; it says so if the run's reward is the user's own."""
-    from sfmrl.rewards import REWARDS
-
-    trust = [] if run.config.reward.reward in REWARDS else ["--trust-reward"]
-    return shlex.join(["sfmrl", *command.split(), str(run.folder), *trust])
+    return f"sfmrl {command} {as_words(run.folder)}"
 
 
 def train(run: Any, work: Callable[..., Any]) -> Any:

@@ -8,7 +8,7 @@ import typer
 
 from sfmrl.config import ConfigError
 from sfmrl.console import err, new_file, out, print_sheet, say, say_result
-from sfmrl.files import csv_text
+from sfmrl.files import csv_text, write_text
 from sfmrl.options import Overwrite, number_option, option
 from sfmrl.tables import TABLES, make_jobs, parse_rows, parse_seeds
 from sfmrl.variants import PRESETS
@@ -67,9 +67,9 @@ def table(
     findings, changes = summarise(TABLES[number], by_row), contrasts(by_row) if number == 1 else []
     pages = sheets(findings, changes, f"Table {number}, {preset} preset, {TABLES[number].test_episodes} test episodes")
     if csv:
-        csv.write_text(csv_text(csv_rows(findings, changes)))
+        write_text(csv, csv_text(csv_rows(findings, changes)))
     if markdown:
-        markdown.write_text("\n".join(page.markdown() for page in pages))
+        write_text(markdown, "\n".join(page.markdown() for page in pages))
     if as_json:
         what = {"table": number, "preset": preset, "environment": TABLES[number].environment}
         say_result(json.dumps(what | {"rows": findings, "contrasts": changes}, indent=2))
@@ -101,10 +101,10 @@ def figure(
         new_file(path, flag, overwrite)
     lines = curve_rows(_read(folder, number, preset, parse_rows(number, rows), parse_seeds(seeds)))
     if csv:
-        csv.write_text(csv_text(lines))
+        write_text(csv, csv_text(lines))
     if svg:
         picture = Frame(Text("\n").join(draw_curves(lines, 120, 48)), time=0.0)
-        svg.write_text(to_svg([picture], f"Validation success, table {number}, {preset} preset"))
+        write_text(svg, to_svg([picture], f"Validation success, table {number}, {preset} preset"))
     for line in draw_curves(lines, max(out.width, 40), max(out.height - 2, 16)):
         out.print(line if out.is_terminal else line.plain, highlight=False)
 

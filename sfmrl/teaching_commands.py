@@ -10,7 +10,7 @@ import typer
 from sfmrl import completion
 from sfmrl.config import EPISODES, STEPS
 from sfmrl.console import err, new_file, out, say, say_finding, say_result
-from sfmrl.files import csv_text
+from sfmrl.files import csv_text, write_text
 from sfmrl.options import (
     Environment,
     Episode,
@@ -64,7 +64,7 @@ def explain(
     explained = explain_episode(record, 0, chosen, config.reward, config.discount)
     shown = chosen_steps(explained.steps, every, steps)
     if csv:
-        csv.write_text(csv_text(explained.steps))
+        write_text(csv, csv_text(explained.steps))
     if as_json:
         what = {"policy": name, "environment": str(scene.environment[0]), "episode": episode, "seed": seed}
         what |= {"outcome": str(record.outcome[0]), "time": float(record.time[0]), "discount": config.discount}

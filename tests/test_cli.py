@@ -15,7 +15,6 @@ from contextlib import suppress
 from dataclasses import fields
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 from typing import get_args
 
 import pytest
@@ -26,11 +25,12 @@ from conftest import ROOT, environment
 from sfmrl import __version__, cli, completion
 from sfmrl.cli import app, main
 from sfmrl.config import Config, ConfigError, Imitation, Planner, Reinforcement, Reward, Simulation, SocialForce
-from sfmrl.folders import locked
+from sfmrl.folders import locked, unfinished
 from sfmrl.models import model_names
 from sfmrl.network import Sizes, ValueNetwork
 from sfmrl.policies import POLICIES
 from sfmrl.rewards import REWARDS
+from sfmrl.runs import create_run
 from sfmrl.scenarios import ENVIRONMENTS
 from sfmrl.session import on_run
 from sfmrl.variants import MIXES, PRESETS, VARIANTS, make_config
@@ -370,11 +370,14 @@ def test_what_to_type_next_can_be_typed(sfmrl: Call, tmp_path: Path):
         assert shlex.split(words)[1] == ("my run" if words is test else "it's")
 
 
-def test_what_to_type_says_to_trust_the_reward_of_a_run_that_needs_it():
-    run = SimpleNamespace(folder=Path("my run"), config=Config(reward=Reward(reward="mine.py:mine")))
-    assert on_run("rl --resume", run) == "sfmrl rl --resume 'my run' --trust-reward"
-    run.config = Config(reward=Reward(reward="sfm"))
-    assert on_run("eval", run) == "sfmrl eval 'my run'"
+def test_what_to_type_says_to_trust_the_reward_of_a_run_that_needs_it(in_process: Call, tmp_path: Path):
+    (tmp_path / "mine.py").write_text("def mine(transition, settings):\n    return 0 * transition.time\n")
+    for reward, trust in (("sfm", ""), ("mine.py:mine", " --trust-reward")):
+        name = Path(f"runs/my {reward[:3]}")
+        run = create_run("rl", Config(reward=Reward(reward=reward)), name)
+        assert on_run("eval", run) == f"sfmrl eval '{name}'{trust}"
+        assert unfinished(name).endswith(f"sfmrl rl --resume '{name}'{trust}")
+        assert f"by --resume '{name}'{trust}" in in_process("rl", "--from-scratch", "--run", str(name)).stderr
 
 
 def test_results_go_to_standard_output_and_what_to_do_next_to_standard_error(sfmrl: Call, tmp_path: Path):

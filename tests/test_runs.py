@@ -20,8 +20,8 @@ from conftest import environment
 
 from sfmrl.config import Config, ConfigError, override
 from sfmrl.drawings import load_map
-from sfmrl.files import SUMS, DamagedFile, read_checked, read_sums, write_atomically
-from sfmrl.folders import in_training, locked, run_folders
+from sfmrl.files import SUMS, DamagedFile, append, read_checked, read_sums, write_atomically
+from sfmrl.folders import LOCK, in_training, locked, run_folders, unfinished
 from sfmrl.greeting import greeting
 from sfmrl.imitation import DEMONSTRATIONS, demonstrate, imitate, load_demonstrations
 from sfmrl.network import resolved
@@ -86,6 +86,17 @@ def test_a_failed_write_leaves_the_old_file_and_names_no_temporary_one(tmp_path,
         assert caught.value.strerror == "No space left on device"
     assert read_checked(path) == b"one"
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([SUMS, "numbers"])
+
+
+def test_a_file_system_that_cannot_be_written_to_is_told_by_the_file_s_own_name(tmp_path, monkeypatch):
+    def fail(*_, **__) -> None:
+        raise OSError(errno.EROFS, "Read-only file system", "odd")
+
+    monkeypatch.setattr("builtins.open", fail)
+    monkeypatch.setattr(Path, "unlink", fail)
+    with pytest.raises(OSError, match="Read-only") as caught:
+        write_atomically(tmp_path / "numbers", b"two", checked=False)
+    assert caught.value.filename == str(tmp_path / "numbers")
 
 
 def test_read_checked_names_the_file_and_its_sums(tmp_path):
@@ -216,6 +227,28 @@ def test_a_pipe_in_a_run_folder_is_not_waited_for(folder, name):
     read = load_policy if name in (SUMS, WEIGHTS) else open_run
     with pytest.raises((DamagedFile, ConfigError), match=f"{name} is not a regular file|has no run.json"):
         read(folder)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+@pytest.mark.parametrize(
+    ("name", "use"),
+    [
+        (LOCK, lambda folder: locked(folder).__enter__()),
+        ("metrics.csv", lambda folder: append(folder / "metrics.csv", b"1")),
+    ],
+)
+def test_a_pipe_that_would_be_written_to_is_not_waited_for(tmp_path, name, use):
+    os.mkfifo(tmp_path / name)
+    assert not in_training(tmp_path)
+    with pytest.raises(DamagedFile, match=f"{name} is not a regular file"):
+        use(tmp_path)
+
+
+def test_a_hint_can_be_typed_whatever_the_run_is_called(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, typed in (("-run", "./-run"), ("my run", "'my run'")):
+        create_run("il", override(TINY, {"reward": {"reward": "sfm"}}), Path(name))
+        assert unfinished(Path(name)).endswith(f"sfmrl il --resume {typed}")
 
 
 ODD_CHECKPOINTS = {
