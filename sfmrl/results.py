@@ -78,7 +78,7 @@ def read_row(folder: Path, number: int, preset: str, row: str, seeds: list[int])
         return None
     try:
         return _trained(runs)
-    except (OSError, ValueError, LookupError, TypeError) as error:
+    except (OSError, ValueError, LookupError, TypeError, ArithmeticError) as error:
         if isinstance(error, ConfigError):
             raise
         raise ConfigError(f"a run of row {row} under {folder} cannot be read ({error!r}); train it again") from error
@@ -104,8 +104,8 @@ def _trained(runs: dict[int, Path]) -> Trained:
         hit=stacked(tests, "hit", str),
         time=stacked(tests, "time", float),
         total_reward=stacked(tests, "total_reward", float),
-        best=np.array([result["success"] for result in best]),
-        best_episode=np.array([result["episode"] for result in best]),
+        best=np.array([float(result["success"]) for result in best]),
+        best_episode=np.array([int(result["episode"]) for result in best]),
         episodes=stacked(validations, "episode", int)[0],
         validation=stacked(validations, "success", float),
         training=stacked(metrics, "outcome", str) == "success",

@@ -160,6 +160,14 @@ def test_folders_alone_make_a_row(folder):
     assert read_row(folder, 2, "quick", "sarl", [0, 1]) is None
 
 
+@pytest.mark.parametrize("text", ["[]", '{"success": "x", "episode": null}', '{"success": 1, "episode": 1e400}'])
+def test_a_result_that_is_odd_is_one_error(folder, text):
+    run = run_folder(folder, 1, "quick", "sarl", 0)
+    (run / "result.json").write_text(f'{{"best_validation": {text}}}')
+    with pytest.raises(ConfigError, match=r"a run of row sarl under .* cannot be read"):
+        read_row(folder, 1, "quick", "sarl", [0])
+
+
 def test_runs_that_were_tested_on_other_episodes_are_refused(folder):
     write_run(run_folder(folder, 1, "quick", "sarl", 4), 0.9, 4, first=50)
     with pytest.raises(ConfigError, match="sarl-seed4 was tested on other episodes"):
