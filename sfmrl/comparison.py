@@ -10,7 +10,7 @@ from sfmrl.episodes import Record
 from sfmrl.evaluation import RATES, episode_rows, metrics
 from sfmrl.intervals import episode_difference, holm, success_difference
 from sfmrl.lookahead import Policy
-from sfmrl.reports import Sheet, between, p_value, rate, seconds
+from sfmrl.reports import Sheet, estimate, p_value, rate, seconds
 
 LISTED = 20  # differing episodes that the terminal shows; JSON has all
 
@@ -81,31 +81,27 @@ def comparison_sheets(found: dict[str, Any], title: str) -> list[Sheet]:
     rates = []
     for row in found["policies"]:
         low, high = row["intervals"]["success"]
-        time = "-" if row["navigation_time"] is None else f"{row['navigation_time']:.2f}"
         numbers = f"{rate(row['success'])} {rate(low)}-{rate(high)}", rate(row["collision"]), rate(row["timeout"])
-        rates.append((row["policy"], *numbers, time, f"{row['total_reward']:.4f}"))
+        rates.append((row["policy"], *numbers, seconds(row["navigation_time"]), f"{row['total_reward']:.4f}"))
     gaps = []
     for row in others:
         gap = row["less_first"]
-        success, time = gap["success"], gap["navigation_time"]
-        slower = "-" if time is None else f"{time['mean']:.2f} ({between(time['low'], time['high'], seconds)})"
-        gaps.append(
-            (
-                row["policy"],
-                f"{rate(success['mean'])} ({between(success['low'], success['high'])})",
-                p_value(success["p_holm"]),
-                str(gap["only_this"]),
-                str(gap["only_first"]),
-                slower,
-            )
-        )
+        success = estimate(gap["success"]), p_value(gap["success"]["p_holm"])
+        counts = str(gap["only_this"]), str(gap["only_first"])
+        gaps.append((row["policy"], *success, *counts, estimate(gap["navigation_time"], seconds)))
     names = [row["policy"] for row in found["policies"]]
     lines = [(str(d["episode"]), d["environment"], *d["outcomes"].values()) for d in found["differing"]]
-    counts = ("only\nthis", "only\nfirst")
-    less = ("policy", "success less\nthe first's", "p (Holm)", *counts, "nav. time less\nthe first's")
+    heads = (
+        "policy",
+        "success less\nthe first's",
+        "p (Holm)",
+        "only\nthis",
+        "only\nfirst",
+        "nav. time less\nthe first's",
+    )
     sheets = [
         Sheet(title, ("policy", "success", "collision", "time-out", "nav.\ntime", "total\nreward"), rates),
-        Sheet(f"Differences from {first['policy']}, with 95 % intervals over episodes", less, gaps),
+        Sheet(f"Differences from {first['policy']}, with 95 % intervals over episodes", heads, gaps),
     ]
     if lines:
         count = counted(len(lines), "episode") + (f", the first {LISTED}" if len(lines) > LISTED else "")

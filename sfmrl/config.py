@@ -13,6 +13,8 @@ from dataclasses import Field, asdict, dataclass, field, fields, is_dataclass, r
 from numbers import Integral, Real
 from typing import Any
 
+from sfmrl.files import json_object
+
 
 class ConfigError(ValueError):
     """A setting that cannot be used; its text is one line that names the setting and the remedy."""
@@ -22,12 +24,22 @@ class Untrusted(str):
     """Text that was read from a file: no code that it names is run (see `own_code.py`)."""
 
 
-def knob(default: Any, help: str, *, least: float | None = None, most: float | None = None, choices: tuple = ()) -> Any:
-    """A dataclass field with its help text, and the range or choices that its values are held to.
+def knob(default: Any, help: str, low: float | None = None, high: float | None = None, choices: tuple = ()) -> Any:
+    """A dataclass field with its help text, and the range (both ends included) or choices of its values.
 
     Every number has both ends, so that any value it may take gives finite numbers and work that can be done.
     """
-    return field(default=default, metadata={"help": help, "least": least, "most": most, "choices": choices})
+    return field(default=default, metadata={"help": help, "range": (low, high), "choices": choices})
+
+
+def in_range(name: str, value: Any, low: float, high: float, whole: bool = True) -> int | float:
+    """`value` as a number from `low` to `high`; raises ConfigError, with the setting's `name`, where it is none."""
+    if isinstance(value, bool) or not isinstance(value, Integral if whole else Real) or value != value:
+        raise ConfigError(f"{name} is {value!r}; it takes a {'whole ' if whole else ''}number")
+    if not low <= value <= high:
+        bound, end = ("at least", low) if value < low else ("at most", high)
+        raise ConfigError(f"{name} is {value}; it must be {bound} {end if whole else f'{end:g}'}")
+    return int(value) if whole else float(value)
 
 
 def checked(item: Field, value: Any) -> Any:
@@ -38,14 +50,7 @@ def checked(item: Field, value: Any) -> Any:
         if not isinstance(value, bool):
             raise ConfigError(f"{name} is {value!r}; it takes true or false")
     elif isinstance(default, (int, float)):
-        whole = isinstance(default, int)
-        if isinstance(value, bool) or not isinstance(value, Integral if whole else Real) or value != value:
-            raise ConfigError(f"{name} is {value!r}; it takes a {'whole ' if whole else ''}number")
-        low, high = meta["least"], meta["most"]
-        if not low <= value <= high:
-            bound, end = ("at least", low) if value < low else ("at most", high)
-            raise ConfigError(f"{name} is {value}; it must be {bound} {end if whole else f'{end:g}'}")
-        value = int(value) if whole else float(value)
+        return in_range(name, value, *meta["range"], whole=isinstance(default, int))
     elif isinstance(default, str) and not isinstance(value, str):
         raise ConfigError(f"{name} is {value!r}; it takes text")
     elif is_dataclass(item.default_factory) and not isinstance(value, item.default_factory):
@@ -55,7 +60,7 @@ def checked(item: Field, value: Any) -> Any:
     return value
 
 
-PAY = {"least": -1e6, "most": 1e6}  # of rewards
+PAY = (-1e6, 1e6)  # range of rewards
 EPISODES = 100_000  # at once: what is recorded of all has to fit into memory
 STEPS = 100_000  # of an episode
 SEED = 2**63 - 1
@@ -82,28 +87,26 @@ class _Checked:
 class SocialForce(_Checked):
     """Parameters of equations 1 and 2; the defaults are the paper's, for the robot's state."""
 
-    a: float = knob(1.0, "strength of the repulsion, m/s^2 (paper: a_z = 1)", least=0, most=1000)
-    b: float = knob(1.0, "range of the repulsion, m (paper: b_z = 1)", least=0.01, most=1000)
-    d: float = knob(0.0, "distance at which the repulsion is a, m (paper: d_z = 0)", least=-3, most=3)
-    k: float = knob(2.0, "rate at which the goal force corrects the velocity, 1/s", least=0, most=1000)
+    a: float = knob(1.0, "strength of the repulsion, m/s^2 (paper: a_z = 1)", 0, 1000)
+    b: float = knob(1.0, "range of the repulsion, m (paper: b_z = 1)", 0.01, 1000)
+    d: float = knob(0.0, "distance at which the repulsion is a, m (paper: d_z = 0)", -3, 3)
+    k: float = knob(2.0, "rate at which the goal force corrects the velocity, 1/s", 0, 1000)
 
 
 @dataclass(frozen=True)
 class Simulation(_Checked):
     """How the crowd moves and when an episode ends; CrowdNav's values."""
 
-    time_step: float = knob(0.25, "length of a step, s", least=1e-3, most=10)
-    time_limit: float = knob(25.0, "an episode is timed out 1 s before this time, s (CrowdNav)", least=1, most=3600)
+    time_step: float = knob(0.25, "length of a step, s", 1e-3, 10)
+    time_limit: float = knob(25.0, "an episode is timed out 1 s before this time, s (CrowdNav)", 1, 3600)
     crowd: str = knob("orca", "what drives the humans", choices=("orca", "sfm"))
     robot_visible: bool = knob(True, "the humans see the robot (paper: they do)")
-    safety_space: float = knob(0.0, "added to every radius when ORCA drives the robot, m", least=0, most=10)
-    clearance: float = knob(0.01, "added to every radius inside ORCA, m (CrowdNav)", least=0, most=10)
-    neighbor_distance: float = knob(10.0, "ORCA: agents farther away are ignored, m (CrowdNav)", least=0, most=1e6)
-    max_neighbors: int = knob(10, "ORCA: number of nearest agents considered (CrowdNav)", least=0, most=1000)
-    time_horizon: float = knob(5.0, "ORCA: how far ahead agents are avoided, s (CrowdNav)", least=1e-3, most=1000)
-    obstacle_time_horizon: float = knob(
-        5.0, "ORCA: how far ahead polygons are avoided, s (CrowdNav)", least=1e-3, most=1000
-    )
+    safety_space: float = knob(0.0, "added to every radius when ORCA drives the robot, m", 0, 10)
+    clearance: float = knob(0.01, "added to every radius inside ORCA, m (CrowdNav)", 0, 10)
+    neighbor_distance: float = knob(10.0, "ORCA: agents farther away are ignored, m (CrowdNav)", 0, 1e6)
+    max_neighbors: int = knob(10, "ORCA: number of nearest agents considered (CrowdNav)", 0, 1000)
+    time_horizon: float = knob(5.0, "ORCA: how far ahead agents are avoided, s (CrowdNav)", 1e-3, 1000)
+    obstacle_time_horizon: float = knob(5.0, "ORCA: how far ahead polygons are avoided, s (CrowdNav)", 1e-3, 1000)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -124,20 +127,18 @@ class Reward(_Checked):
     """Numbers of the rewards: CrowdNav's, and the paper's second formula."""
 
     reward: str = knob("crowd", "crowd (CrowdNav), sfm, sfm-discount (paper), or your own: file.py:function")
-    success: float = knob(1.0, "reward for reaching the goal (CrowdNav)", **PAY)
-    collision: float = knob(-0.25, "reward for a collision (CrowdNav)", **PAY)
-    discomfort_distance: float = knob(0.2, "closer than this is too close, m (CrowdNav)", least=0, most=1000)
+    success: float = knob(1.0, "reward for reaching the goal (CrowdNav)", *PAY)
+    collision: float = knob(-0.25, "reward for a collision (CrowdNav)", *PAY)
+    discomfort_distance: float = knob(0.2, "closer than this is too close, m (CrowdNav)", 0, 1000)
     discomfort_slope: float = knob(
-        0.125, "crowd: penalty per metre too close, in 0.25 s (CrowdNav: 0.5 a second)", **PAY
+        0.125, "crowd: penalty per metre too close, in 0.25 s (CrowdNav: 0.5 a second)", *PAY
     )
-    discomfort_amplitude: float = knob(-0.03, "sfm: reward at zero separation (the paper's A)", **PAY)
-    discomfort_decay: float = knob(
-        10.0, "sfm: how fast it fades with separation, 1/m (the paper's B)", least=0, most=1e6
-    )
-    k: float = knob(0.001, "sfm: weight of moving at the preferred velocity (the paper's k)", **PAY)
-    distance_weight: float = knob(0.0001, "sfm: penalty per metre from the goal", **PAY)
-    discount_start: float = knob(10.0, "sfm-discount: arriving later than this costs, s", least=0, most=3600)
-    discount_rate: float = knob(0.02, "sfm-discount: cost per second late", **PAY)
+    discomfort_amplitude: float = knob(-0.03, "sfm: reward at zero separation (the paper's A)", *PAY)
+    discomfort_decay: float = knob(10.0, "sfm: how fast it fades with separation, 1/m (the paper's B)", 0, 1e6)
+    k: float = knob(0.001, "sfm: weight of moving at the preferred velocity (the paper's k)", *PAY)
+    distance_weight: float = knob(0.0001, "sfm: penalty per metre from the goal", *PAY)
+    discount_start: float = knob(10.0, "sfm-discount: arriving later than this costs, s", 0, 3600)
+    discount_rate: float = knob(0.02, "sfm-discount: cost per second late", *PAY)
 
 
 @dataclass(frozen=True)
@@ -145,13 +146,11 @@ class Planner(_Checked):
     """Recovery at play, and the grid on which ways around squares are measured."""
 
     recover: bool = knob(False, "at play, lead a robot that is stuck around squares, look farther for traps (ours)")
-    stall_time: float = knob(
-        2.0, "recover: time without progress after which the robot is stuck, s", least=0, most=3600
-    )
-    stall_distance: float = knob(0.25, "recover: progress is a path to the goal shorter by this, m", least=0, most=1000)
-    resolution: float = knob(0.1, "paths around squares: side of the grid's cells, m", least=0.02, most=10)
+    stall_time: float = knob(2.0, "recover: time without progress after which the robot is stuck, s", 0, 3600)
+    stall_distance: float = knob(0.25, "recover: progress is a path to the goal shorter by this, m", 0, 1000)
+    resolution: float = knob(0.1, "paths around squares: side of the grid's cells, m", 0.02, 10)
     inflation: float = knob(
-        0.1, "paths around squares: nearer to a square than this, a path counts as longer, m", least=0, most=10
+        0.1, "paths around squares: nearer to a square than this, a path counts as longer, m", 0, 10
     )
 
 
@@ -163,11 +162,11 @@ _SCHEDULES = ("constant", "linear", "one-cycle")
 class Imitation(_Checked):
     """Learning from ORCA's demonstrations; the paper's numbers."""
 
-    episodes: int = knob(3000, "demonstrations by ORCA", least=1, most=EPISODES)
-    epochs: int = knob(50, "passes over the demonstrations", least=1, most=10_000)
-    batch_size: int = knob(100, "states in a batch", least=1, most=100_000)
+    episodes: int = knob(3000, "demonstrations by ORCA", 1, EPISODES)
+    epochs: int = knob(50, "passes over the demonstrations", 1, 10_000)
+    batch_size: int = knob(100, "states in a batch", 1, 100_000)
     optimizer: str = knob("sgd", "sgd (momentum 0.9) or adam (Kingma and Ba, 2015)", choices=_OPTIMIZERS)
-    learning_rate: float = knob(0.01, "learning rate", least=0, most=1000)
+    learning_rate: float = knob(0.01, "learning rate", 0, 1000)
     schedule: str = knob("constant", "course of the learning rate (one-cycle: Smith, 2017)", choices=_SCHEDULES)
     environment: str = knob("1", "environments of the demonstrations")
 
@@ -176,42 +175,37 @@ class Imitation(_Checked):
 class Reinforcement(_Checked):
     """Deep V-learning; the paper's numbers, CrowdNav's where it is silent."""
 
-    episodes: int = knob(10_000, "training episodes", least=1, most=10_000_000)
-    parallel: int = knob(1, "episodes played side by side, for speed", least=1, most=10_000)
+    episodes: int = knob(10_000, "training episodes", 1, 10_000_000)
+    parallel: int = knob(1, "episodes played side by side, for speed", 1, 10_000)
     overlap: bool = knob(False, "learn from the last episodes while the next are played (as in Mnih et al., 2016)")
-    batches: int = knob(100, "batches of learning an episode (CrowdNav)", least=0, most=10_000)
-    batch_size: int = knob(100, "states in a batch", least=1, most=100_000)
+    batches: int = knob(100, "batches of learning an episode (CrowdNav)", 0, 10_000)
+    batch_size: int = knob(100, "states in a batch", 1, 100_000)
     optimizer: str = knob("sgd", "sgd (momentum 0.9) or adam (Kingma and Ba, 2015)", choices=_OPTIMIZERS)
-    learning_rate: float = knob(0.001, "learning rate", least=0, most=1000)
+    learning_rate: float = knob(0.001, "learning rate", 0, 1000)
     schedule: str = knob("constant", "course of the learning rate (one-cycle: Smith, 2017)", choices=_SCHEDULES)
-    epsilon_start: float = knob(0.5, "share of random actions at the start (CrowdNav)", least=0, most=1)
-    epsilon_end: float = knob(0.1, "share of random actions in the end (CrowdNav)", least=0, most=1)
-    epsilon_episodes: int = knob(4000, "episodes from the first share to the last (CrowdNav)", least=1, most=10_000_000)
+    epsilon_start: float = knob(0.5, "share of random actions at the start (CrowdNav)", 0, 1)
+    epsilon_end: float = knob(0.1, "share of random actions in the end (CrowdNav)", 0, 1)
+    epsilon_episodes: int = knob(4000, "episodes from the first share to the last (CrowdNav)", 1, 10_000_000)
     targets: str = knob(
         "td",
         "learn td, the reward plus the target's next value, or returns, all that followed up to the next random action "
         "(Watkins, 1989)",
         choices=("td", "returns"),
     )
-    target_interval: int = knob(
-        50, "episodes between updates of the target network (CrowdNav)", least=1, most=10_000_000
-    )
-    memory: int = knob(100_000, "states kept to learn from (CrowdNav)", least=1, most=10_000_000)
+    target_interval: int = knob(50, "episodes between updates of the target network (CrowdNav)", 1, 10_000_000)
+    memory: int = knob(100_000, "states kept to learn from (CrowdNav)", 1, 10_000_000)
     keep_timeouts: bool = knob(False, "learn from time-outs too, as worth 0 at their end (ours; CrowdNav drops them)")
     average: int = knob(
-        0,
-        "number of batches over which the tested weights are averaged (Polyak, 1992); 0: off",
-        least=0,
-        most=10_000_000,
+        0, "number of batches over which the tested weights are averaged (Polyak, 1992); 0: off", 0, 10_000_000
     )
     environment: str = knob("table1", "environments to train in, and their shares")
     test_environment: str = knob(
         "table1",
         "environments of validation and test, unless --environment is given alone (paper: table 1's mix in all rows)",
     )
-    validation_interval: int = knob(1000, "episodes between validations", least=1, most=10_000_000)
-    validation_episodes: int = knob(100, "episodes of a validation", least=1, most=EPISODES)
-    test_episodes: int = knob(500, "episodes of the final test", least=1, most=EPISODES)
+    validation_interval: int = knob(1000, "episodes between validations", 1, 10_000_000)
+    validation_episodes: int = knob(100, "episodes of a validation", 1, EPISODES)
+    test_episodes: int = knob(500, "episodes of the final test", 1, EPISODES)
     test_best: bool = knob(False, "test the weights of the best validation as well as the last")
 
 
@@ -219,7 +213,7 @@ class Reinforcement(_Checked):
 class Config(_Checked):
     """Everything that decides a training's numbers."""
 
-    seed: int = knob(0, "seed of everything random", least=0, most=SEED)
+    seed: int = knob(0, "seed of everything random", 0, SEED)
     preset: str = knob("quick", "schedule: minutes, or as published (hours)", choices=("quick", "paper"))
     forces: bool = knob(False, "social forces in the state: 17 columns instead of 13")
     precision: str = knob(
@@ -227,7 +221,7 @@ class Config(_Checked):
         "inner layers in float32, bfloat16 (faster; Kalamkar et al., 2019), or auto: bf16 where the processor has it",
         choices=("fp32", "bf16", "auto"),
     )
-    discount: float = knob(0.9, "discount per second at 1 m/s (CrowdNav's gamma)", least=0, most=1)
+    discount: float = knob(0.9, "discount per second at 1 m/s (CrowdNav's gamma)", 0, 1)
     value_prior: bool = knob(False, "write the value as 0.9^(goal distance - 0.3) (0.8 + network) (ours)")
     collision_ends: bool = knob(False, "in looking ahead, nothing follows a collision (Sutton and Barto, 1998)")
     avoid_traps: bool = knob(False, "pass over actions after which all collide, if it can (Fraichard and Asama, 2004)")
@@ -248,14 +242,13 @@ class Config(_Checked):
         Its reward's name is `Untrusted`: one that names Python code is not run, unless `own_code.trusted` says so.
         """
         try:
-            changes = json.loads(text)
-        except (TypeError, ValueError, RecursionError):
-            raise ConfigError("it is not JSON") from None
-        if isinstance(changes, dict):
-            for name, neutral in RETIRED.items():
-                value = changes.pop(name, neutral)
-                if value != neutral:
-                    raise ConfigError(f"it was made by sfmrl 0.1.0 with {name} {value!r}; play it with that version")
+            changes = json_object(text)
+        except ValueError as error:
+            raise ConfigError(str(error)) from None
+        for name, neutral in RETIRED.items():
+            value = changes.pop(name, neutral)
+            if value != neutral:
+                raise ConfigError(f"it was made by sfmrl 0.1.0 with {name} {value!r}; play it with that version")
         config = override(Config(), changes)
         return override(config, {"reward": {"reward": Untrusted(config.reward.reward)}})
 

@@ -93,20 +93,20 @@ def print_metrics(result: dict[str, Any], title: str) -> None:
         table.add_column(heading, justify="right" if heading else "left")
     rows = {"all": result, **{f"env. {name}": row for name, row in result.get("environments", {}).items()}}
     if len(rows) > 7:  # as of maps, whose names are longer, too
-        _print_many({name.removeprefix("env. map-"): row for name, row in rows.items()}, "", title)
+        _print_many({name.removeprefix("env. map-"): row for name, row in rows.items()}, title)
         return
     for name, row in rows.items():
         rates = [f"{row[rate]:.3f} [dim]{low:.2f}-{high:.2f}[/dim]" for rate, (low, high) in row["intervals"].items()]
         table.add_row(name, *rates, *_rest(row))
-    _print(table)
+    print_table(table)
 
 
-def _print_many(rows: dict[str, dict[str, Any]], first: str, title: str) -> None:
+def _print_many(rows: dict[str, dict[str, Any]], title: str) -> None:
     """A line a row, with the interval of success alone."""
     table = Table(
         title=Text(title), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False
     )
-    table.add_column(first, no_wrap=True)
+    table.add_column(no_wrap=True)
     for heading in ("success", "95 %", "collision", "time-out", "nav. time", "total\nreward"):
         table.add_column(heading, justify="right")
     for name, row in rows.items():
@@ -114,7 +114,7 @@ def _print_many(rows: dict[str, dict[str, Any]], first: str, title: str) -> None
         interval = f"[dim]{low:.2f}-{high:.2f}[/dim]"
         rates = [f"{row[rate]:.3f}" for rate in ("success", "collision", "timeout")]
         table.add_row(name, rates[0], interval, *rates[1:], *_rest(row)[:2])
-    _print(table)
+    print_table(table)
 
 
 def _rest(row: dict[str, Any]) -> tuple[str, str, str]:
@@ -123,19 +123,26 @@ def _rest(row: dict[str, Any]) -> tuple[str, str, str]:
     return time, f"{row['total_reward']:.4f}", str(row["episodes"])
 
 
-def _print(table: Table) -> None:
-    out.print(table, width=max(out.width, WIDTH), crop=False)  # in a narrow terminal lines wrap, but no number is cut
+def print_table(table: Table) -> None:
+    """Print a table; in a narrow terminal its lines wrap, but no number is cut."""
+    out.print(table, width=max(out.width, WIDTH), crop=False)
+
+
+def plain_table(*headings: str, first: str = "left") -> Table:
+    """Return an empty table without an edge, its `first` column aligned as given and the others to the right."""
+    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, show_edge=False)
+    for number, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if number else first, no_wrap=True)
+    return table
 
 
 def print_sheet(sheet: Any) -> None:
     """A `reports.Sheet` as a table under its title, and an empty line."""
-    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, show_edge=False)
-    for number, heading in enumerate(sheet.headings):
-        table.add_column(heading, justify="right" if number else "left", no_wrap=True)
+    table = plain_table(*sheet.headings)
     for row in sheet.rows:
         table.add_row(*map(Text, row))
     out.print(Text(sheet.title, "italic"))
-    _print(table)
+    print_table(table)
     out.print()
 
 

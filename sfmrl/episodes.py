@@ -15,7 +15,7 @@ from sfmrl.config import Config, ConfigError, Planner, Reward, Simulation
 from sfmrl.crowd import World, advance, crowd_velocities, reset, transition
 from sfmrl.geometry import length
 from sfmrl.lookahead import Policy, step_discount
-from sfmrl.own_code import fault, is_write, kind, name_of, numbers, read_only, takes_two
+from sfmrl.own_code import checked_array, fault, is_write, kind, name_of, read_only, takes_two
 from sfmrl.policies import find_policy
 from sfmrl.rewards import OUTCOMES, RUNNING, OwnReward, Terms, Transition, as_reward, reward_terms, total
 from sfmrl.scenarios import Scenes
@@ -37,9 +37,6 @@ class Record:
     transition: a `Transition` of arrays (E, T)
     reward (E, T): what each step paid
     discounted_return (E,): the rewards' discounted sum from the first step on
-    outcome (E,): "success", "collision" or "timeout"
-    time (E,): s until the end
-    played (E, T): bool, which steps took place
     """
 
     scenes: Scenes
@@ -187,7 +184,7 @@ def _choice(policy: Policy, world: World, moves: np.ndarray) -> np.ndarray:
         if not is_write(error) and takes_two(policy):
             raise
         raise fault(name, policy, error, "(world, crowd_velocity)") from error
-    action = numbers(name, policy, given, (len(world), 2), "a velocity (x, y) in m/s for each episode")
+    action = checked_array(name, policy, given, (len(world), 2), "a velocity (x, y) in m/s for each episode")
     speed, v_pref = length(action), world.v_pref[:, 0]
     if (speed > v_pref + TOLERANCE).any():
         e = int((speed - v_pref).argmax())
@@ -247,13 +244,6 @@ def _refill(whole: World, world: World, going: np.ndarray, fresh: np.ndarray) ->
 
 def _empty_transition(count: int, steps: int, elements: int) -> Transition:
     """A transition of (E, T) arrays to be filled in."""
-    return Transition(
-        time=np.full((count, steps), np.nan),
-        time_step=np.full((count, steps), np.nan),
-        velocity=np.full((count, steps, 2), np.nan),
-        preferred_velocity=np.full((count, steps, 2), np.nan),
-        goal_distance_before=np.full((count, steps), np.nan),
-        goal_distance=np.full((count, steps), np.nan),
-        separations=np.full((count, steps, elements), np.nan),
-        outcome=np.full((count, steps), RUNNING),
-    )
+    more = {"velocity": (2,), "preferred_velocity": (2,), "separations": (elements,)}
+    arrays = {item.name: np.full((count, steps, *more.get(item.name, ())), np.nan) for item in fields(Transition)}
+    return Transition(**arrays | {"outcome": np.full((count, steps), RUNNING)})

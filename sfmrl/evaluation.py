@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from sfmrl.config import EPISODES, Config, ConfigError, Reward, Simulation
+from sfmrl.config import EPISODES, Config, Reward, Simulation, in_range
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.intervals import wilson
 from sfmrl.lookahead import Policy
@@ -43,8 +43,7 @@ def evaluation_record(
     be tested in; for a policy that was not trained, table 1's mix and CrowdNav's. Raises ConfigError on unknown names
     and on less than one episode.
     """
-    if not 1 <= episodes <= EPISODES:
-        raise ConfigError(f"episodes is {episodes}; it must be at least 1 and at most {EPISODES}")
+    in_range("episodes", episodes, 1, EPISODES)
     chosen = find_policy(policy, reward)
     own = getattr(chosen, "config", Config())
     settings = own.reward if reward is None else as_reward(reward)

@@ -6,23 +6,11 @@ from typing import Annotated, Any
 
 import typer
 
+from sfmrl import options
 from sfmrl.config import ConfigError, counted, suggest
 from sfmrl.console import err, new_file, print_metrics, print_sheet, replay_command, say, say_result
 from sfmrl.files import DamagedFile, csv_text, write_text
-from sfmrl.options import (
-    Environment,
-    Episodes,
-    Humans,
-    HumanSpeed,
-    MapFile,
-    Overwrite,
-    PolicyName,
-    Seed,
-    Threads,
-    TrustReward,
-    option,
-    settings_options,
-)
+from sfmrl.options import option, settings_options
 from sfmrl.session import among, choose, drawn
 
 app = typer.Typer()
@@ -31,18 +19,18 @@ app = typer.Typer()
 @app.command("eval", epilog="Example: sfmrl eval orca --environment 2 --episodes 100 --csv orca.csv")
 @settings_options("simulation", "reward", "planner")
 def evaluate_command(
-    policy: PolicyName = None,
-    environment: Environment = None,
-    map_file: MapFile = None,
-    episodes: Episodes = 500,
-    seed: Seed = 0,
-    humans: Humans = None,
-    human_speed: HumanSpeed = None,
+    policy: options.PolicyName = None,
+    environment: options.Environment = None,
+    map_file: options.MapFile = None,
+    episodes: options.Episodes = 500,
+    seed: options.Seed = 0,
+    humans: options.Humans = None,
+    human_speed: options.HumanSpeed = None,
     as_json: Annotated[bool, option("print JSON", "--json")] = False,
     csv: Annotated[Path | None, option("write a line an episode to this file")] = None,
-    overwrite: Overwrite = False,
-    trust_reward: TrustReward = False,
-    threads: Threads = None,
+    overwrite: options.Overwrite = False,
+    trust_reward: options.TrustReward = False,
+    threads: options.Threads = None,
     *,
     settings: dict[str, Any],
 ) -> None:
@@ -85,17 +73,17 @@ def evaluate_command(
 @settings_options("simulation", "reward", "planner")
 def compare_command(
     policies: Annotated[list[str], typer.Argument(help="two or more, as for eval; all are compared with the first")],
-    environment: Environment = None,
-    map_file: MapFile = None,
-    episodes: Episodes = 500,
-    seed: Seed = 0,
-    humans: Humans = None,
-    human_speed: HumanSpeed = None,
+    environment: options.Environment = None,
+    map_file: options.MapFile = None,
+    episodes: options.Episodes = 500,
+    seed: options.Seed = 0,
+    humans: options.Humans = None,
+    human_speed: options.HumanSpeed = None,
     as_json: Annotated[bool, option("print JSON", "--json")] = False,
     csv: Annotated[Path | None, option("write a line an episode of each policy to this file")] = None,
-    overwrite: Overwrite = False,
-    trust_reward: TrustReward = False,
-    threads: Threads = None,
+    overwrite: options.Overwrite = False,
+    trust_reward: options.TrustReward = False,
+    threads: options.Threads = None,
     *,
     settings: dict[str, Any],
 ) -> None:

@@ -2,15 +2,13 @@
 
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
 from sfmrl.config import counted
-from sfmrl.console import out, say_result
+from sfmrl.console import WIDTH, out, plain_table, print_table, say_result
 from sfmrl.explanation import Explanation, mark
 
-WIDTH = 80
 MANY_DIGITS, FEW_DIGITS = 5, 4  # decimals of rewards, where there is room and where there is not
 HEADS = {
     "collision": "colli-\nsion",
@@ -33,7 +31,7 @@ def print_explanation(explanation: Explanation, shown: list[dict[str, Any]], tit
     """The steps to show, what the marks mean, and the accounts."""
     steps = explanation.steps
     say_result(f"{title}, {explanation.name}: {steps[-1]['event'].split('; ')[0]} after {steps[-1]['time']:.2f} s")
-    _print(_steps_table(explanation, shown))
+    print_table(_steps_table(explanation, shown))
     marks = [mark(row["event"]) for row in shown]
     meant = [f"{sign} {words}" for sign, words in LEGEND.items() if sign in marks]
     say_result("; ".join([f"{len(shown)} of {counted(len(steps), 'step')}", *meant]))
@@ -41,21 +39,18 @@ def print_explanation(explanation: Explanation, shown: list[dict[str, Any]], tit
     if "value" in steps[0]:
         say_result("value: of the action taken; next: of the best of the other 80")
     say_result("")
-    _print(_accounts_table(explanation))
+    print_table(_accounts_table(explanation))
     say_result("plain: sums; below: discounted to the start; *: the reward of the steps above")
 
 
 def _steps_table(explanation: Explanation, shown: list[dict[str, Any]]) -> Table:
     """A line a step; terms that the whole episode never pays are left out."""
-    table = _table("step", "time", "gap", "push")
     valued = "value" in shown[0]
-    for name in ("value", "next") if valued else ():
-        table.add_column(name, justify="right", no_wrap=True)
     terms = [term for term in explanation.terms if len(explanation.terms) > 1 and explanation.own.any_of(term)]
     taken = 21 + 14 * valued + (MANY_DIGITS + 4) * (1 + len(terms))
     digits = MANY_DIGITS if taken <= max(out.width, WIDTH) else FEW_DIGITS
-    for name in (*terms, "reward"):
-        table.add_column(HEADS.get(name, name), justify="right", no_wrap=True)
+    heads = ("step", "time", "gap", "push", *("value", "next") * valued, *(HEADS.get(name, name) for name in terms))
+    table = plain_table(*heads, "reward", first="right")
     for row in shown:
         gap = "-" if row["gap"] is None else f"{row['gap']:.2f}" if row["gap"] < 10 else f"{row['gap']:.1f}"
         cells = [f"{row['step']}{mark(row['event']) or ' '}", f"{row['time']:.2f}", gap, f"{row['repulsion']:.2f}"]
@@ -69,9 +64,7 @@ def _accounts_table(explanation: Explanation) -> Table:
     accounts = explanation.accounts
     names = dict.fromkeys(term for account in accounts for term in account.plain)
     terms = [term for term in names if any(account.any_of(term) for account in accounts)]
-    table = _table("")
-    for name in (*terms, "return"):
-        table.add_column(HEADS.get(name, name), justify="right", no_wrap=True)
+    table = plain_table("", *(HEADS.get(name, name) for name in terms), "return")
     own = explanation.own
     rows = [("plain*", own.plain, sum(own.plain.values()))]
     for account in accounts:
@@ -80,17 +73,6 @@ def _accounts_table(explanation: Explanation) -> Table:
         cells = [_signed(paid[term], MANY_DIGITS) if term in paid else Text("-", "dim") for term in terms]
         table.add_row(name, *cells, _signed(whole, MANY_DIGITS), end_section=name == "plain*")
     return table
-
-
-def _table(*columns: str) -> Table:
-    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, show_edge=False)
-    for name in columns:
-        table.add_column(name, justify="right" if name else "left", no_wrap=True)
-    return table
-
-
-def _print(table: Table) -> None:
-    out.print(table, width=max(out.width, WIDTH), crop=False)
 
 
 def _signed(number: float, digits: int) -> Text:

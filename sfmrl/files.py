@@ -71,7 +71,7 @@ def append(path: Path, data: bytes) -> None:
 
 
 def remove_checked(paths: list[Path]) -> None:
-    """Remove files of one folder, and their digests before them: a crash in between leaves files that nobody misses."""
+    """Remove files of one folder, and their digests before them: a crash in between leaves unlisted files."""
     if paths:
         unlist({path.name for path in paths}, paths[0].parent)
     for path in paths:
@@ -132,7 +132,7 @@ def _digest(data: bytes) -> str:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Let an OSError name this file: not a temporary one, and not none, as where the disk is full."""
+    """Let every OSError name this file, instead of a temporary one or (where the disk is full) no file."""
     try:
         yield
     except OSError as error:
@@ -179,10 +179,10 @@ def json_object(text: str | bytes) -> dict[str, Any]:
     return found
 
 
-def csv_rows(text: str) -> list[dict[str, str]]:
-    """The rows of a CSV file by their headings; raises ValueError where a row has not a field for each heading."""
+def read_table(path: Path) -> list[dict[str, str]]:
+    """The rows of a CSV file, as `read_listed`, by their headings; raises ValueError where a row does not fit them."""
     try:
-        rows = list(csv.DictReader(io.StringIO(text, newline="")))
+        rows = list(csv.DictReader(io.StringIO(read_listed(path).decode(), newline="")))
     except csv.Error as error:
         raise ValueError(str(error)) from None
     if any(None in row or None in row.values() for row in rows):

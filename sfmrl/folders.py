@@ -35,7 +35,7 @@ def run_folders(kind: str | None = None) -> list[Path]:
 
 
 def kind_of(folder: Path) -> str | None:
-    """Which kind of run a folder holds; None where it holds none that can be told."""
+    """Which kind of run a folder holds; None without a run.json that says so."""
     kind = facts_of(folder).get("kind")
     return kind if kind in KINDS else None
 

@@ -28,7 +28,7 @@ from sfmrl.scenarios import Scenes, elements_of, generator, sample_scenes
 from sfmrl.states import OWN, column_names
 from sfmrl.stopping import Interrupted, StopSignal
 
-DERIVED = ("time_step", "goal_distance_before")  # of a transition, what is not kept in that file
+DERIVED = ("time_step", "goal_distance_before")  # fields of a transition that the demonstrations file does not hold
 STORED = [item.name for item in fields(Transition) if item.name not in DERIVED]
 
 

@@ -4,11 +4,10 @@ A card says how its network was made (variant, preset, seed, commands, versions)
 and the SHA-256 of its weights.
 """
 
-import hashlib
 from pathlib import Path
 from typing import Any
 
-from sfmrl.files import DamagedFile, json_object, read_regular
+from sfmrl.files import DamagedFile, digest_of, json_object, read_regular
 
 FOLDER = Path(__file__).parent / "models"
 
@@ -30,6 +29,6 @@ def model_card(name: str) -> dict[str, Any]:
 def model_weights(name: str) -> Path:
     """A network's weights file; raises DamagedFile where it is not the one that its card describes."""
     path = FOLDER / f"{name}.pt"
-    if not path.exists() or hashlib.sha256(path.read_bytes()).hexdigest() != model_card(name).get("sha256"):
+    if not path.exists() or digest_of(path) != model_card(name).get("sha256"):
         raise DamagedFile(f"{path} is not what sfmrl came with; install sfmrl again")
     return path

@@ -3,7 +3,7 @@
 
 import inspect
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
+from dataclasses import Field, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from sfmrl import completion
-from sfmrl.config import EPISODES, SEED, Config, checked
+from sfmrl.config import EPISODES, SEED, Config, checked, in_range
 from sfmrl.variants import MIXES, PRESETS, VARIANTS, make_config
 
 # The sections of the config by the heading under which `--help` shows their knobs.
@@ -24,8 +24,6 @@ TITLES = {
     "reinforcement": "Schedule",
 }
 SWITCHES = "Switches"  # on-off knobs of all sections: their --no-... is a column of its own, too wide beside long names
-
-NUMBERS = 2**31 - 1  # of episodes
 DEFAULTS = {preset: make_config(preset) for preset in PRESETS}
 
 
@@ -37,17 +35,15 @@ def option(help: str, *flags: str, **extra: Any) -> Any:
 def number_option(help: str, low: float, high: float) -> Any:
     """A Typer option that takes a number from `low` to `high`."""
 
-    def within(value: float | None) -> float | None:
-        if value is not None and not low <= value <= high:  # NaN is refused, too
-            raise typer.BadParameter(f"{value} is not from {low} to {high}")
-        return value
+    def checked_value(parameter: typer.CallbackParam, value: float | None) -> float | None:
+        return value if value is None else in_range(parameter.opts[0], value, low, high, whole=isinstance(value, int))
 
-    return option(help, callback=within)
+    return option(help, callback=checked_value)
 
 
 Threads = Annotated[int | None, number_option("threads to use (default one a core)", 1, 1024)]
 Episodes = Annotated[int, number_option("test episodes (default 500)", 1, EPISODES)]
-Episode = Annotated[int, number_option("number of the test episode (default 0)", 0, NUMBERS)]
+Episode = Annotated[int, number_option("number of the test episode (default 0)", 0, 2**31 - 1)]
 Seed = Annotated[int, number_option("seed of the test episodes (default 0)", 0, SEED)]
 RunFolder = Annotated[Path | None, option("run folder to make (default a new one under runs/)")]
 Resume = Annotated[
@@ -111,22 +107,21 @@ def settings_options(*sections: str) -> Callable[[Callable[..., None]], Callable
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        knobs = {}  # option -> (section, the config's field)
-        parameters = []
-        for section in sections:
-            for item in fields(_section(Config(), section)):
-                if not is_dataclass(getattr(_section(Config(), section), item.name)):
-                    knobs[item.name] = (section, item)
-                    parameters.append(_parameter(section, item.name))
+        knobs = [  # sections and their fields, one an option
+            (section, item)
+            for section in sections
+            for item in fields(_section(Config(), section))
+            if not is_dataclass(item.default_factory)
+        ]
+        parameters = [_parameter(section, item) for section, item in knobs]
         own = [p for p in inspect.signature(command).parameters.values() if p.name != "settings"]
 
         @wraps(command)
         def wrapper(**given: Any) -> None:
             settings: dict[str, Any] = {}
-            for name, (section, item) in knobs.items():
-                value = given.pop(name)
-                if value is not None:
-                    (settings.setdefault(section, {}) if section else settings)[name] = checked(item, value)
+            for section, item in knobs:
+                if (value := given.pop(item.name)) is not None:
+                    (settings.setdefault(section, {}) if section else settings)[item.name] = checked(item, value)
             command(**given, settings=settings)
 
         wrapper.__signature__ = inspect.Signature([*own, *parameters])
@@ -140,30 +135,21 @@ def _section(config: Config, name: str) -> Any:
     return getattr(config, name) if name else config
 
 
-def _parameter(section: str, name: str) -> inspect.Parameter:
+def _parameter(section: str, item: Field) -> inspect.Parameter:
     """The option of one knob: None where it is not given, its presets' values in the help text."""
-    knob = next(item for item in fields(_section(Config(), section)) if item.name == name)
-    values = {preset: getattr(_section(config, section), name) for preset, config in DEFAULTS.items()}
-    shown = {preset: _text(value) for preset, value in values.items()}
-    if len(set(shown.values())) == 1:
-        default = f"default {shown['quick']}"
-    else:
-        default = ", ".join(f"{preset} {value}" for preset, value in shown.items())
-    if name == "preset":
-        default = "default quick"
-    choices = f" ({' | '.join(knob.metadata['choices'])})" if knob.metadata["choices"] else ""
-    flag = "--" + name.replace("_", "-")
-    switch = isinstance(knob.default, bool)
-    flags = (f"{flag}/--no-{flag[2:]}",) if switch else (flag,)
-    option = typer.Option(
-        *flags,
-        help=f"{knob.metadata['help']}{choices} ({default})",
-        show_default=False,
+    shown = {preset: _text(getattr(_section(config, section), item.name)) for preset, config in DEFAULTS.items()}
+    alike = item.name == "preset" or len(set(shown.values())) == 1
+    default = f"default {shown['quick']}" if alike else ", ".join(f"{name} {value}" for name, value in shown.items())
+    choices = f" ({' | '.join(item.metadata['choices'])})" if item.metadata["choices"] else ""
+    flag, switch = item.name.replace("_", "-"), isinstance(item.default, bool)
+    made = option(
+        f"{item.metadata['help']}{choices} ({default})",
+        f"--{flag}/--no-{flag}" if switch else f"--{flag}",
         rich_help_panel=SWITCHES if switch else TITLES[section],
-        autocompletion=_completion(name, knob.metadata["choices"]),
+        autocompletion=_completion(item.name, item.metadata["choices"]),
     )
-    kind = type(knob.default) | None
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Annotated[kind, option])
+    kind = Annotated[type(item.default) | None, made]
+    return inspect.Parameter(item.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
 
 
 def _completion(name: str, choices: tuple[str, ...]) -> completion.Completion | None:

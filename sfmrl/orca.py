@@ -57,12 +57,12 @@ def orca_velocities(
 ):
     """Return everybody's collision-avoiding velocities (E, N, 2) in m/s for the coming time step.
 
-    position (m), velocity and preferred_velocity (m/s) are (E, N, 2), radius (m) and max_speed (m/s) broadcast to
+    position (m) is (E, N, 2), velocity and preferred_velocity (m/s) broadcast to it, radius (m) and max_speed (m/s) to
     (E, N). An agent whose position is NaN is absent: it gets NaN and influences nobody. `polygons` (E, P, V, 2) in m or
-    their `polygon_edges` stand still. `agents` (E, N) are those to compute, all by default; the others get NaN but are
-    avoided. time_step and horizons are in s, neighbor_distance in m. Raises ValueError for wrong shapes and polygons,
-    and for numbers that are not finite or out of range. A scene may lie anywhere, but its agents within a few
-    kilometres: they are computed in float32 relative to an origin near most of them.
+    their `polygon_edges` stand still. `agents`, which broadcast to (E, N), are those to compute, all by default; the
+    others get NaN but are avoided. time_step and horizons are in s, neighbor_distance in m. Raises ValueError for wrong
+    shapes and polygons, and for numbers that are not finite or out of range. A scene may lie anywhere, but its agents
+    within a few kilometres: they are computed in float32 relative to an origin near most of them.
     Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011.
     """
     position = numbers("position", position)
@@ -79,14 +79,14 @@ def orca_velocities(
     planes = np.empty((8, rows, episodes), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
         np.subtract(position.T, outline.origin.T[:, None], out=planes[0:2], casting="same_kind")
-        planes[2:4] = _checked("velocity", velocity, position.shape).T
+        planes[2:4] = broadcast("velocity", velocity, position.shape).T
         planes[4] = broadcast("radius", radius, shape).T
         planes[5] = broadcast("max_speed", max_speed, shape).T
-        planes[6:8] = _checked("preferred_velocity", preferred_velocity, position.shape).T
+        planes[6:8] = broadcast("preferred_velocity", preferred_velocity, position.shape).T
     wanted = present = ~np.isnan(position).any(axis=2).T
     _check_finite(planes, present)
     if agents is not None:
-        wanted = present & (_checked("agents", agents, shape) != 0).T
+        wanted = present & (broadcast("agents", agents, shape) != 0).T
     others, own = present.any(axis=1).nonzero()[0], wanted.any(axis=1).nonzero()[0]
 
     velocities = np.full((episodes, rows, 2), np.nan)
@@ -189,19 +189,11 @@ def _least(distance, count):
 
 def _edges(polygons, position):
     """Return the polygons' Edges, of no polygon where they are None, for agents at the positions (E, N, 2)."""
-    if isinstance(polygons, Edges):
-        if len(polygons) != len(position):
-            raise ValueError(f"polygons must belong to {len(position)} episodes, not to {len(polygons)}")
-        return polygons
-    polygons = np.empty((len(position), 0, 1, 2)) if polygons is None else numbers("polygons", polygons)
-    return polygon_edges(polygons, position)
-
-
-def _checked(name, value, shape):
-    value = numbers(name, value)
-    if value.shape != shape:
-        raise ValueError(f"{name} must have shape {shape}, not {value.shape}")
-    return value
+    if not isinstance(polygons, Edges):
+        return polygon_edges(np.empty((len(position), 0, 1, 2)) if polygons is None else polygons, position)
+    if len(polygons) != len(position):
+        raise ValueError(f"polygons must belong to {len(position)} episodes, not to {len(polygons)}")
+    return polygons
 
 
 def _check_finite(planes, present):

@@ -1,6 +1,6 @@
 """Users' own Python functions: rewards and policies, and the files that rewards are in.
 
-They are given what they cannot change, so that none can forge a result, and each of their slips is one line of error.
+Their arguments are read-only, so that none can forge a result, and each of their mistakes is one line of error.
 A reward that a run or weights file names is `Untrusted` and is not run: code does not travel with files.
 """
 
@@ -21,7 +21,7 @@ from sfmrl.files import digest_of
 
 
 class UntrustedReward(ConfigError):
-    """A reward that is not run, since a file has named it and not the user."""
+    """A reward that is not run, because a file names it and the user does not."""
 
 
 def read_only(thing: Any, copy: bool = True) -> Any:
@@ -72,7 +72,7 @@ def fault(who: str, function: Callable, error: BaseException, arguments: str) ->
     return ConfigError(f"{who}{_line(error, file)} failed: {_text(error)}; {remedy}")
 
 
-def numbers(who: str, function: Callable, returned: Any, shape: tuple[int, ...], meaning: str) -> np.ndarray:
+def checked_array(who: str, function: Callable, returned: Any, shape: tuple[int, ...], meaning: str) -> np.ndarray:
     """What a user's function returned, as floats of this shape; raises ConfigError where it is anything else."""
     line = getattr(getattr(function, "__code__", None), "co_firstlineno", None)
     who += f" (line {line})" if line else ""

@@ -75,7 +75,7 @@ class Builder:
                 self._person(which, row)
 
     def among(self, people: int) -> "Builder":
-        """The same squares among so many people, on the circle all of them."""
+        """The same squares with this number of `people`, all on the circle."""
         squares = int(self.square.sum(1).max(initial=0))
         other = Builder(self.rngs, 1 + people + squares, self.circle)
         episode, row = np.nonzero(self.square)

@@ -69,8 +69,7 @@ class Geodesics:
                 shortest = np.minimum(shortest, value + straight)
                 least, most = np.minimum(least, value), np.maximum(most, value)
         free = most - least < 1.5 * self.resolution  # a diagonal step is the longest between free cells
-        outside = np.sqrt(off[..., 0] * off[..., 0] + off[..., 1] * off[..., 1]) * self.resolution
-        return np.where(free, mixed, shortest) + outside + self.beyond[scene]
+        return np.where(free, mixed, shortest) + length(off) * self.resolution + self.beyond[scene]
 
 
 def plan(scenes: Scenes, planner: Planner, reach: np.ndarray | None = None) -> Geodesics:

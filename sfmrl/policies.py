@@ -40,7 +40,7 @@ POLICIES: dict[str, Policy] = {"linear": linear_policy, "orca": orca_policy, "sf
 
 
 def find_policy(policy: str | Path | Policy, reward: Any = None) -> Policy:
-    """A policy from what `load_policy` takes, or the policy itself; `reward`, which the user has named, may be run."""
+    """Load a policy as `load_policy` does, or return a function as it is; `reward`, named by the user, may be run."""
     if isinstance(policy, (str, Path)):
         return load_policy(policy, trust_reward=getattr(reward, "reward", reward))
     if not callable(policy):

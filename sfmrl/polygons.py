@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sfmrl.geometry import numbers
+
 FIELDS = 15
 SPACING = 64.0  # m between possible origins; a power of two, so that subtracting one does not round
 
@@ -58,7 +60,7 @@ def polygon_edges(polygons: np.ndarray, position: np.ndarray) -> Edges:
     are who will see them, or where they start. Raises ValueError for other shapes, for vertices that are not finite,
     for a polygon that is clockwise, and for one with a single vertex or with two equal vertices in a row.
     """
-    polygons = np.asarray(polygons, dtype=float)
+    polygons = numbers("polygons", polygons)
     if polygons.ndim != 4 or polygons.shape[3] != 2:
         raise ValueError(f"polygons must have shape (E, P, V, 2), not {polygons.shape}")
     if len(polygons) != len(position):

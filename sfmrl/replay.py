@@ -13,13 +13,11 @@ import numpy as np
 from rich.text import Text
 
 from sfmrl.canvas import FAINT, GOAL, PERSON, ROBOT, SQUARE, Canvas, fitted, styled, tidy, to_ascii
-from sfmrl.config import Reward
-from sfmrl.episodes import Record
 from sfmrl.geometry import direction
 from sfmrl.layout import Side, Size, joined
 from sfmrl.plane import bordered, draw
 from sfmrl.scenarios import Scenes
-from sfmrl.story import Story, scene_name, tell
+from sfmrl.story import Story, scene_name
 
 BESIDE = 61  # columns from which two policies stand side by side, else one above the other
 WHOLE = 161  # ... and from which each has its panel
@@ -102,26 +100,6 @@ class Replay:
         elif count is not None:
             moments = strip(moments, count)
         return [self.frame(t, width, height) for t in moments]
-
-
-def make_frames(
-    record: Record,
-    episode: int = 0,
-    *,
-    policy=None,
-    label: str = "",
-    reward: Reward | None = None,
-    discount: float | None = None,
-    width: int = 80,
-    height: int = 24,
-    ascii_only: bool = False,
-) -> list[Frame]:
-    """The T + 1 frames of the episode in row `episode` of a record, the last one with its outcome.
-
-    `policy` adds what it weighs up if it has SARL's `lookahead` and `attention`; `label` is its name in the heading.
-    `reward` and `discount` are those of the panel's account (default: the policy's own).
-    """
-    return Replay((tell(record, episode, policy, reward, discount),), (label,), ascii_only).frames(width, height)
 
 
 def strip(frames: Sequence[Item], count: int) -> list[Item]:

@@ -9,23 +9,10 @@ from typing import Annotated, Any
 
 import typer
 
+from sfmrl import options
 from sfmrl.config import Config, ConfigError, counted
 from sfmrl.console import new_file, out, say, say_result
-from sfmrl.options import (
-    Environment,
-    Episode,
-    Humans,
-    HumanSpeed,
-    MapFile,
-    Overwrite,
-    PolicyName,
-    Seed,
-    Threads,
-    TrustReward,
-    number_option,
-    option,
-    settings_options,
-)
+from sfmrl.options import number_option, option, settings_options
 from sfmrl.session import choose, drawn
 
 app = typer.Typer()
@@ -36,14 +23,14 @@ FILES = (80, 24)  # ... and those of frames in files, whatever the terminal
 @app.command("ascii-render", epilog="Example: sfmrl ascii-render orca --environment 3 --episode 17")
 @settings_options("simulation", "reward", "planner")
 def ascii_render(
-    policy: PolicyName = None,
+    policy: options.PolicyName = None,
     versus: Annotated[str | None, option("a second policy in the same episode, beside it and by its reward")] = None,
-    environment: Environment = None,
-    map_file: MapFile = None,
-    episode: Episode = 0,
-    seed: Seed = 0,
-    humans: Humans = None,
-    human_speed: HumanSpeed = None,
+    environment: options.Environment = None,
+    map_file: options.MapFile = None,
+    episode: options.Episode = 0,
+    seed: options.Seed = 0,
+    humans: options.Humans = None,
+    human_speed: options.HumanSpeed = None,
     speed: Annotated[float, number_option("times real time (default 2)", 0.01, 64)] = 2.0,
     frames: Annotated[
         int | None, number_option("number of stills, instead of playing (default a pipe 6, SVG 1)", 1, 10_000)
@@ -55,9 +42,9 @@ def ascii_render(
     draw: Annotated[bool, option("print the scene as a map for --map, to edit, and play nothing", "--draw")] = False,
     svg: Annotated[Path | None, option("write the last frame, or stills one below the other, as a picture")] = None,
     cast: Annotated[Path | None, option("write a recording that asciinema and its like play")] = None,
-    overwrite: Overwrite = False,
-    trust_reward: TrustReward = False,
-    threads: Threads = None,
+    overwrite: options.Overwrite = False,
+    trust_reward: options.TrustReward = False,
+    threads: options.Threads = None,
     *,
     settings: dict[str, Any],
 ) -> None:

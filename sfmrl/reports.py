@@ -96,6 +96,11 @@ def between(low: float | None, high: float | None, form: Any = rate) -> str:
     return "-" if low is None else f"{form(low)} to {form(high)}"
 
 
+def estimate(figure: dict[str, Any] | None, form: Any = rate) -> str:
+    """Write a difference by `form`, with its interval in brackets; "-" for none."""
+    return "-" if figure is None else f"{form(figure['mean'])} ({between(figure['low'], figure['high'], form)})"
+
+
 def _with_interval(figure: dict[str, Any]) -> str:
     interval = "" if figure["low"] is None else f" {rate(figure['low'])}-{rate(figure['high'])}"
     return rate(figure["mean"]) + interval
@@ -145,7 +150,7 @@ def _difference(row: dict[str, Any]) -> tuple[str, ...]:
 def _contrast(metric: str, contrasts: list[dict[str, Any]]) -> tuple[str, ...]:
     form = {"navigation_time": seconds, "reached_episodes": partial(_number, form=".0f")}.get(metric, rate)
     found = [c for c in contrasts if c["in"] == metric]
-    return CONTRASTED[metric], *(f"{form(c['mean'])} ({between(c['low'], c['high'], form)})" for c in found)
+    return CONTRASTED[metric], *(estimate(contrast, form) for contrast in found)
 
 
 def csv_rows(found: list[dict[str, Any]], contrasts: list[dict[str, Any]]) -> list[dict[str, Any]]:

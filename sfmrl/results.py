@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from sfmrl.config import ConfigError
-from sfmrl.files import csv_rows, json_object, read_listed
+from sfmrl.files import json_object, read_listed, read_table
 from sfmrl.folders import finished
 from sfmrl.tables import run_folder
 
@@ -114,5 +114,5 @@ def _trained(runs: dict[int, Path]) -> Trained:
 
 
 def _columns(path: Path) -> dict[str, list[str]]:
-    rows = csv_rows(read_listed(path).decode())
+    rows = read_table(path)
     return {name: [row[name] for row in rows] for name in rows[0]} if rows else {}

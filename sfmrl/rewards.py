@@ -12,7 +12,7 @@ import numpy as np
 
 from sfmrl.config import ConfigError, Reward, suggest
 from sfmrl.geometry import length
-from sfmrl.own_code import fault, kind, load, name_of, numbers, read_only
+from sfmrl.own_code import checked_array, fault, kind, load, name_of, read_only
 
 RUNNING, SUCCESS, COLLISION, TIMEOUT = range(4)
 OUTCOMES = np.array(["running", "success", "collision", "timeout"])
@@ -123,7 +123,7 @@ def reward_terms(reward: Reward | OwnReward) -> Callable[[Transition], Terms]:
     another shape or numbers that are not finite; UntrustedReward where a file has named it and not the user.
     """
     if not isinstance(reward, Reward):
-        return _checked(reward, Reward(), name_of(reward))
+        return _own_terms(reward, Reward(), name_of(reward))
     name = reward.reward
     if name in REWARDS:
         return lambda transition: REWARDS[name](transition, reward)
@@ -132,7 +132,7 @@ def reward_terms(reward: Reward | OwnReward) -> Callable[[Transition], Terms]:
             f"there is no reward {name!r}; choose {', '.join(REWARDS)}, or your own as file.py:function"
             f"{suggest(name, REWARDS)}"
         )
-    return _checked(load(name), reward, name)
+    return _own_terms(load(name), reward, name)
 
 
 def total(terms: Terms) -> np.ndarray:
@@ -140,7 +140,9 @@ def total(terms: Terms) -> np.ndarray:
     return sum(terms.values())
 
 
-def _checked(own: OwnReward, settings: Reward, name: str) -> Callable[[Transition], Terms]:
+def _own_terms(own: OwnReward, settings: Reward, name: str) -> Callable[[Transition], Terms]:
+    """The terms of a user's own reward, called `name` in errors: what it returns for a copy that it cannot write to."""
+
     def terms(transition: Transition) -> Terms:
         try:
             paid = own(read_only(transition), settings)
@@ -149,6 +151,6 @@ def _checked(own: OwnReward, settings: Reward, name: str) -> Callable[[Transitio
         except BaseException as error:
             raise fault(f"reward {name}", own, error, "(transition, settings)") from error
         shape = np.shape(transition.outcome)
-        return {"reward": numbers(f"reward {name}", own, paid, shape, "one number a transition")}
+        return {"reward": checked_array(f"reward {name}", own, paid, shape, "one number a transition")}
 
     return terms

@@ -9,7 +9,7 @@ import numpy as np
 from sfmrl.config import Reward, counted
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.evaluation import RATES, episode_rows, evaluation_record
-from sfmrl.files import csv_rows, json_object, read_listed
+from sfmrl.files import json_object, read_listed, read_table
 from sfmrl.folders import DEMONSTRATIONS, WEIGHTS
 from sfmrl.imitation import load_demonstrations
 from sfmrl.lookahead import Policy, SarlPolicy
@@ -66,7 +66,7 @@ class Replay:
         what = f"of {counted(whole, 'test episode')}, played by {weights} alone,"
         if not (run.folder / name).exists():
             return self._against_failures(record, _result(run), whole, what)
-        kept = csv_rows(read_listed(run.folder / name).decode())[:count]
+        kept = read_table(run.folder / name)[:count]
         again = [{key: str(value) for key, value in row.items()} for row in episode_rows(record)]
         outcome, steps = (np.array([row[key] for row in kept]) for key in ("outcome", "steps"))
         differ = self._differ(outcome, record.outcome, steps.astype(int), record.steps)
@@ -128,7 +128,7 @@ def result(run: Run) -> str:
     for part, name in ((found, "test.csv"), (best, "test-best.csv"), (recovering, "")):
         sources = {"its failures": _outcomes(part, whole)} if part else {}
         if part and name and (run.folder / name).exists():
-            sources[name] = [row["outcome"] for row in csv_rows(read_listed(run.folder / name).decode())]
+            sources[name] = [row["outcome"] for row in read_table(run.folder / name)]
         for source, ends in sources.items():
             if len(ends) != whole or any(round(part[rate] * whole) != ends.count(rate) for rate in RATES):
                 raise Disagreement(f"its rates are not those of {counted(whole, 'episode')} in {source}")

@@ -232,10 +232,8 @@ def _make(folder: Path, files: dict[str, str], overwrite: bool) -> None:
             raise ConfigError(f"{folder / MAP} does not belong to the run; move it away, or name another --run")
         # Without SHA256SUMS the old run cannot be opened, but replaced, whenever this is interrupted.
         (folder / SUMS).unlink(missing_ok=True)
-        for path in folder.iterdir():
-            if path.name in WRITTEN - {*MADE} or CHECKPOINT.fullmatch(path.name):
-                path.unlink()
-        for path in _leftovers(folder):
+        old = [path for path in folder.iterdir() if path.name not in MADE and _is_of_a_run(path.name)]
+        for path in old + _leftovers(folder):
             path.unlink()
         write_together(folder, {name: text.encode() for name, text in files.items()})
 
@@ -276,7 +274,12 @@ def _listed(folder: Path, name: str) -> bool:
 def _leftovers(folder: Path) -> list[Path]:
     """Temporary files of a run that killed processes left in its folder."""
     names = [(path, TEMPORARY.fullmatch(path.name)) for path in folder.iterdir()]
-    return [path for path, name in names if name and (name[1] in WRITTEN or CHECKPOINT.fullmatch(name[1]))]
+    return [path for path, name in names if name and _is_of_a_run(name[1])]
+
+
+def _is_of_a_run(name: str) -> bool:
+    """Whether a run writes files of this name."""
+    return name in WRITTEN or bool(CHECKPOINT.fullmatch(name))
 
 
 def _same_run(folder: Path, kind: str, config: Config) -> Run:
@@ -322,9 +325,9 @@ def _facts(path: Path) -> dict[str, Any]:
 
 
 def newest_run() -> Path:
-    """The newest finished run under runs/; raises ConfigError where there is none, DamagedFile where none can be told.
+    """The newest finished run under runs/, by the times in their run.json.
 
-    Which one is the newest is in their run.json.
+    Raises ConfigError where there is none, DamagedFile where a run.json is damaged.
     """
     for path in RUNS.glob("[!.]*/run.json"):
         read_listed(path)

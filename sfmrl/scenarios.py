@@ -9,11 +9,11 @@ its outline as a polygon.
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from numbers import Integral, Real
+from numbers import Integral
 
 import numpy as np
 
-from sfmrl.config import ConfigError, suggest
+from sfmrl.config import ConfigError, in_range, suggest
 from sfmrl.geometry import vectors
 from sfmrl.layouts import DRAWN, LAYOUTS, MAPS, drawing_of
 from sfmrl.placement import RADIUS, V_PREF, Builder, circle_of, people_on_circle
@@ -165,14 +165,12 @@ def sample_scenes(
     has a row for the robot and one for each element, people before squares. Raises ConfigError on names it does not
     know, and on numbers out of range.
     """
-    for name, value in (("seed", seed), ("people", 0 if people is None else people)):
-        if not isinstance(value, Integral) or value < 0:
-            raise ConfigError(f"{name} is {value!r}; it takes a whole number, 0 or more")
-    if people_speed is not None and not (isinstance(people_speed, Real) and 0 <= people_speed < np.inf):
-        raise ConfigError(f"people_speed is {people_speed!r}; it takes a speed in m/s, 0 or more")
-    circle = circle_of(people) if circle is None else circle
-    if not isinstance(circle, Real) or not 0 < circle < np.inf:
-        raise ConfigError(f"circle is {circle!r}; it takes a radius in m above 0")
+    in_range("seed", seed, 0, np.inf)
+    if people is not None:
+        in_range("people", people, 0, np.inf)
+    if people_speed is not None:
+        in_range("people_speed", people_speed, 0, 1e6, whole=False)
+    circle = in_range("circle", circle_of(people) if circle is None else circle, RADIUS, 1e6, whole=False)
     environment = str(environment) if isinstance(environment, Integral) else environment
     if not isinstance(environment, str):
         raise ConfigError(f"environment is {environment!r}; it takes a name or a mix, as 2, table1 or 1:0.7,2:0.3")

@@ -42,7 +42,7 @@ def existing(folder: Path | None, overwrite: bool, go_on: bool) -> dict[str, boo
 
 
 def finished(run: Any) -> bool:
-    """Whether nothing is left to do, and says so."""
+    """Whether a training has ended already; if so, say it and remove checkpoints that a killed process left."""
     from sfmrl.runs import sole_use
 
     if run.finished:

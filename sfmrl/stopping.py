@@ -11,7 +11,7 @@ SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if 
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Block these signals until the end of the block; processes that are started in it are born with them blocked."""
+    """Block these signals until the end of the block, also in processes that are started in it."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return

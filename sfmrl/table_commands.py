@@ -11,7 +11,7 @@ from sfmrl.console import err, new_file, out, print_sheet, say, say_result
 from sfmrl.files import csv_text, write_text
 from sfmrl.options import Overwrite, number_option, option
 from sfmrl.tables import TABLES, make_jobs, parse_rows, parse_seeds
-from sfmrl.variants import PRESETS
+from sfmrl.variants import make_config
 
 app = typer.Typer()
 
@@ -47,7 +47,7 @@ def table(
     from sfmrl.reports import csv_rows, sheets
 
     chosen, numbers = parse_rows(number, rows), parse_seeds(seeds)
-    _known(preset)
+    make_config(preset)  # which raises where there is none of that name
     if on not in ("here", "ray"):
         raise ConfigError(f"--on {on}: choose here or ray")
     for flag, path in (("csv", csv), ("markdown", markdown)):
@@ -96,7 +96,7 @@ def figure(
     from sfmrl.exports import to_svg
     from sfmrl.replay import Frame
 
-    _known(preset)
+    make_config(preset)
     for flag, path in (("csv", csv), ("svg", svg)):
         new_file(path, flag, overwrite)
     lines = curve_rows(_read(folder, number, preset, parse_rows(number, rows), parse_seeds(seeds)))
@@ -107,11 +107,6 @@ def figure(
         write_text(svg, to_svg([picture], f"Validation success, table {number}, {preset} preset"))
     for line in draw_curves(lines, max(out.width, 40), max(out.height - 2, 16)):
         out.print(line if out.is_terminal else line.plain, highlight=False)
-
-
-def _known(preset: str) -> None:
-    if preset not in PRESETS:
-        raise ConfigError(f"there is no preset {preset!r}; choose {', '.join(PRESETS)}")
 
 
 def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:

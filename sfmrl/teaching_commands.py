@@ -7,23 +7,11 @@ from typing import Annotated, Any
 
 import typer
 
-from sfmrl import completion
+from sfmrl import completion, options
 from sfmrl.config import EPISODES, STEPS
 from sfmrl.console import err, new_file, out, say, say_finding, say_result
 from sfmrl.files import csv_text, write_text
-from sfmrl.options import (
-    Environment,
-    Episode,
-    MapFile,
-    Overwrite,
-    PolicyName,
-    Seed,
-    Threads,
-    TrustReward,
-    number_option,
-    option,
-    settings_options,
-)
+from sfmrl.options import number_option, option, settings_options
 from sfmrl.session import choose, drawn, use_threads
 
 app = typer.Typer()
@@ -32,20 +20,20 @@ app = typer.Typer()
 @app.command(epilog="Example: sfmrl explain orca --environment 2 --reward sfm --episode 3 --csv steps.csv")
 @settings_options("simulation", "reward", "planner")
 def explain(
-    policy: PolicyName = None,
-    environment: Environment = None,
-    map_file: MapFile = None,
-    episode: Episode = 0,
-    seed: Seed = 0,
+    policy: options.PolicyName = None,
+    environment: options.Environment = None,
+    map_file: options.MapFile = None,
+    episode: options.Episode = 0,
+    seed: options.Seed = 0,
     every: Annotated[
         int | None, number_option("show every N-th step, and those with events (default a dozen)", 1, STEPS)
     ] = None,
     steps: Annotated[str | None, option("show these steps, e.g. 10:20 (default the whole episode)")] = None,
     as_json: Annotated[bool, option("print JSON: all steps, all numbers", "--json")] = False,
     csv: Annotated[Path | None, option("write a line a step, all numbers, to this file")] = None,
-    overwrite: Overwrite = False,
-    trust_reward: TrustReward = False,
-    threads: Threads = None,
+    overwrite: options.Overwrite = False,
+    trust_reward: options.TrustReward = False,
+    threads: options.Threads = None,
     *,
     settings: dict[str, Any],
 ) -> None:
@@ -90,8 +78,8 @@ def verify(
             "share of them that may end otherwise (default 0, or 0.05 if this machine computes other bits)", 0, 1
         ),
     ] = None,
-    trust_reward: TrustReward = False,
-    threads: Threads = None,
+    trust_reward: options.TrustReward = False,
+    threads: options.Threads = None,
 ) -> None:
     """Check a run that was handed in: files against SHA256SUMS, weights by playing again.
 

@@ -7,21 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from sfmrl import completion
+from sfmrl import completion, options
 from sfmrl.config import Config, ConfigError
 from sfmrl.console import as_options, print_metrics, say
-from sfmrl.options import (
-    Continue,
-    MapFile,
-    Overwrite,
-    Resume,
-    RunFolder,
-    Threads,
-    TrustReward,
-    Variant,
-    option,
-    settings_options,
-)
+from sfmrl.options import option, settings_options
 from sfmrl.session import drawn, existing, finished, new_config, on_run, reopen, say_habits, train, use_threads
 
 app = typer.Typer()
@@ -30,13 +19,13 @@ app = typer.Typer()
 @app.command(epilog="Example: sfmrl il --preset paper --seed 1")
 @settings_options("", "simulation", "reward", "planner", "imitation")
 def il(
-    variant: Variant = None,
-    run: RunFolder = None,
-    resume: Resume = None,
-    overwrite: Overwrite = False,
-    go_on: Continue = False,
-    trust_reward: TrustReward = False,
-    threads: Threads = None,
+    variant: options.Variant = None,
+    run: options.RunFolder = None,
+    resume: options.Resume = None,
+    overwrite: options.Overwrite = False,
+    go_on: options.Continue = False,
+    trust_reward: options.TrustReward = False,
+    threads: options.Threads = None,
     *,
     settings: dict[str, Any],
 ) -> None:
@@ -63,7 +52,7 @@ def il(
 @app.command(epilog="Example: sfmrl rl --reward sfm --episodes 3000")
 @settings_options("", "simulation", "reward", "planner", "reinforcement")
 def rl(
-    variant: Variant = None,
+    variant: options.Variant = None,
     source: Annotated[
         Path | None,
         option(
@@ -73,13 +62,13 @@ def rl(
         ),
     ] = None,
     from_scratch: Annotated[bool, option("start without imitation", "--from-scratch")] = False,
-    map_file: MapFile = None,
-    run: RunFolder = None,
-    resume: Resume = None,
-    overwrite: Overwrite = False,
-    go_on: Continue = False,
-    trust_reward: TrustReward = False,
-    threads: Threads = None,
+    map_file: options.MapFile = None,
+    run: options.RunFolder = None,
+    resume: options.Resume = None,
+    overwrite: options.Overwrite = False,
+    go_on: options.Continue = False,
+    trust_reward: options.TrustReward = False,
+    threads: options.Threads = None,
     *,
     settings: dict[str, Any],
 ) -> None:

@@ -196,7 +196,7 @@ def test_a_model_s_odd_card_is_one_error(in_process: Call, monkeypatch, tmp_path
 def test_every_number_of_the_config_has_both_ends_and_takes_nothing_beyond(section):
     for item in fields(section):
         if isinstance(item.default, (int, float)) and not isinstance(item.default, bool):
-            low, high = item.metadata["least"], item.metadata["most"]
+            low, high = item.metadata["range"]
             assert low <= item.default <= high
             for bad in (low - 1, high + 1, math.nan, math.inf, -math.inf, 10**400, "1", None, True, [1]):
                 with pytest.raises(ConfigError, match=item.name.replace("_", "-")):
@@ -245,14 +245,14 @@ WRONG_USE = [
     (("train",), ("train",)),
     (("rl", "--resume", "nowhere"), ("nowhere does not exist", "none yet, sfmrl il makes one")),
     (("il", "--continue"), ("--run",)),
-    (("eval", "orca", "--humans", "201"), ("--humans", "from 0 to 200")),
+    (("eval", "orca", "--humans", "201"), ("--humans is 201; it must be at most 200")),
     (("eval", "orca", "--reward", "mine.py:mine"), ("there is no file mine.py", "path")),
     (("explain", "orca", "--steps", "x"), ("--steps is 'x'", "as in 10:20")),
     (("explain", "orca", "--every", "0"), ("--every",)),
     (("explain", "orca", "--csv", "."), ("is a folder", "name")),
     (("verify",), ("run", "--help")),
     (("verify", "nowhere"), ("nowhere does not exist",)),
-    (("verify", ".", "--tolerance", "2"), ("--tolerance", "2.0 is not from 0 to 1")),
+    (("verify", ".", "--tolerance", "2"), ("--tolerance is 2.0; it must be at most 1",)),
     (("figure", "1", "--preset", "papre"), ("choose paper, quick",)),
     (("doctor", "--hlp"), ("--help",)),
 ]

@@ -18,7 +18,7 @@ import sfmrl
 
 # The house from the ground up: a file imports only from those before it.
 LEVELS = (
-    ("config", "variants", "files", "folders", "geometry", "vectors", "progress", "stopping", "intervals"),
+    ("files", "config", "variants", "folders", "geometry", "vectors", "progress", "stopping", "intervals"),
     (
         "linear_programs",
         "polygons",

@@ -17,7 +17,7 @@ from sfmrl.config import Reward, Simulation
 from sfmrl.episodes import Record, play
 from sfmrl.lookahead import Lookahead, SarlPolicy
 from sfmrl.panel import SHADES, action_disc
-from sfmrl.replay import Replay, make_frames, scene_picture, strip
+from sfmrl.replay import Replay, scene_picture, strip
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenarios import Scenes, sample_scenes
 from sfmrl.screen import Player, play_live
@@ -39,6 +39,11 @@ class Eyes:
     def lookahead(self, world, crowd_velocity):
         actions = np.tile(ACTIONS, (len(world), 1, 1))
         return Lookahead(actions, actions[..., 0], actions[..., 0].argmax(1))
+
+
+def make_frames(record, *, policy=None, label="", reward=None, discount=None, width=80, height=24, ascii_only=False):
+    """All frames of a record's first episode, as `policy` sees it."""
+    return Replay((tell(record, 0, policy, reward, discount),), (label,), ascii_only).frames(width, height)
 
 
 def record_of(position, *, outcome=SUCCESS, separations=None, square=False, goal=(0.0, 4.0), reward=0.0):

@@ -237,10 +237,10 @@ def test_phases_and_seeds_never_share_a_scene():
         (lambda: sample_scenes("1", [-1]), "counted from 0"),
         (lambda: sample_scenes(["1"], 1), "environment is ['1']; it takes a name or a mix"),
         (lambda: sample_scenes(6, 1), "there is no environment '6'"),
-        (lambda: sample_scenes("1", 1, seed=-1), "seed is -1; it takes a whole number, 0 or more"),
-        (lambda: sample_scenes("1", 1, people=-1), "people is -1; it takes a whole number, 0 or more"),
+        (lambda: sample_scenes("1", 1, seed=-1), "seed is -1; it must be at least 0"),
+        (lambda: sample_scenes("1", 1, people=-1), "people is -1; it must be at least 0"),
         (lambda: sample_scenes("1", 1, people=2.5), "people is 2.5"),
-        (lambda: sample_scenes("1", 1, circle=np.nan), "circle is nan; it takes a radius in m above 0"),
+        (lambda: sample_scenes("1", 1, circle=np.nan), "circle is nan; it takes a number"),
         (lambda: sample_scenes("circle60", 1), "fewer people or a larger circle"),
     ],
 )

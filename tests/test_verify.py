@@ -279,14 +279,11 @@ def test_a_sum_s_name_leads_nowhere_else(copy):
     assert "SHA256SUMS" in wrong(run)
 
 
-def test_a_folder_that_is_no_run_and_a_tolerance_that_is_no_share_are_errors(tmp_path, handed_in):
+def test_a_folder_that_is_no_run_is_an_error(tmp_path):
     with pytest.raises(ConfigError, match="does not exist"):
         list(verify(tmp_path / "none", 1, None, 1, no_progress))
     with pytest.raises(ConfigError, match="not a run folder"):
         list(verify(tmp_path, 1, None, 1, no_progress))
-    for share in (float("nan"), -1, 5):
-        with pytest.raises(ConfigError, match="--tolerance"):
-            list(verify(handed_in / "rl", 1, share, 1, no_progress))
 
 
 def test_the_command_says_what_agrees_and_exits_with_1_when_something_does_not(sfmrl, copy):
