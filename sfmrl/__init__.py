@@ -1,4 +1,4 @@
-"""Robot navigation among people, learnt: ORCA, the Social Force Model and SARL in NumPy and torch.
+"""Robot navigation among people, learnt: ORCA, the Social Force Model and SARL in NumPy, defined in torch.
 
 Names are imported when they are first used, so that `import sfmrl` costs nothing and torch is loaded only by what
 needs it.
@@ -7,7 +7,7 @@ needs it.
 from importlib import import_module
 from typing import Any
 
-__version__ = "0.1.0"
+__version__ = "0.3.0"
 
 _HOME = {
     "config": ("Config", "ConfigError", "Reinforcement", "Imitation", "Planner", "Reward", "Simulation", "SocialForce"),
@@ -15,7 +15,8 @@ _HOME = {
     "sfm": ("goal_force", "repulsive_forces", "resultant", "sfm_velocities"),
     "orca": ("orca_velocities",),
     "network": ("ValueNetwork",),
-    "weights": ("load_weights",),
+    "fast": ("FastNetwork",),
+    "weights": ("load_weights", "save_weights", "export_weights"),
     "scenarios": ("Scenes", "sample_scenes"),
     "drawings": ("read_map", "load_map", "draw_map"),
     "rewards": (

@@ -5,6 +5,7 @@ by the commands that need them.
 """
 
 import inspect
+import os
 import re
 import sys
 from typing import Annotated
@@ -54,6 +55,7 @@ def start(
 
 def main() -> None:
     """The `sfmrl` command: every expected failure is one line on standard error."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is imported, see `sfmrl.fast.blas`
     try:
         code = app(standalone_mode=False)
         reason = "interrupted" if code == INTERRUPTED else ""

@@ -216,11 +216,6 @@ class Config(_Checked):
     seed: int = knob(0, "seed of everything random", 0, SEED)
     preset: str = knob("quick", "schedule: minutes, or as published (hours)", choices=("quick", "paper"))
     forces: bool = knob(False, "social forces in the state: 17 columns instead of 13")
-    precision: str = knob(
-        "fp32",
-        "inner layers in float32, bfloat16 (faster; Kalamkar et al., 2019), or auto: bf16 where the processor has it",
-        choices=("fp32", "bf16", "auto"),
-    )
     discount: float = knob(0.9, "discount per second at 1 m/s (CrowdNav's gamma)", 0, 1)
     value_prior: bool = knob(False, "write the value as 0.9^(goal distance - 0.3) (0.8 + network) (ours)")
     collision_ends: bool = knob(False, "in looking ahead, nothing follows a collision (Sutton and Barto, 1998)")
@@ -246,15 +241,15 @@ class Config(_Checked):
         except ValueError as error:
             raise ConfigError(str(error)) from None
         for name, neutral in RETIRED.items():
-            value = changes.pop(name, neutral)
-            if value != neutral:
+            value = changes.pop(name, neutral[0])
+            if value not in neutral:
                 raise ConfigError(f"it was made by sfmrl 0.1.0 with {name} {value!r}; play it with that version")
         config = override(Config(), changes)
         return override(config, {"reward": {"reward": Untrusted(config.reward.reward)}})
 
 
-# Settings of earlier versions that are gone, and the value under which their files still mean the same.
-RETIRED = {"shaping": "none"}
+# Settings of earlier versions that are gone, and the values under which their files still mean the same.
+RETIRED = {"shaping": ("none",), "precision": ("fp32", "bf16", "auto")}
 
 
 def override(config: Any, changes: Mapping[str, Any]) -> Any:

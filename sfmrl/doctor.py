@@ -75,8 +75,8 @@ def _orca() -> Check:
 def _two_threads() -> Check:
     """A network plays the same positions on one thread and, in other batches, on two."""
     from sfmrl.episodes import play_episodes
+    from sfmrl.fast import new_network
     from sfmrl.lookahead import SarlPolicy
-    from sfmrl.network import new_network
     from sfmrl.scenarios import sample_scenes
     from sfmrl.variants import make_config
 

@@ -16,15 +16,14 @@ from functools import cache, partial
 from threading import Thread
 
 import numpy as np
-import torch
 
 from sfmrl.actions import ACTIONS
 from sfmrl.config import Config, Reinforcement
 from sfmrl.crowd import World
 from sfmrl.episodes import Record, play_episodes, returns_of
+from sfmrl.fast import FastNetwork, Sizes, new_network
 from sfmrl.learner import Learner
 from sfmrl.lookahead import SarlPolicy, step_discount
-from sfmrl.network import Sizes, ValueNetwork, new_network
 from sfmrl.scenarios import generator, sample_scenes
 from sfmrl.stopping import SIGNALS, held_back
 
@@ -34,15 +33,15 @@ Explored = tuple[Record, np.ndarray]
 class Explorer:
     """Plays training episodes with a network, on a process of its own if `aside`; a context manager.
 
-    Two threads of one process would wait for each other at each of the network's many operations. Should the process
-    be killed, its work is done here.
+    Two threads of one process would wait for each other between the network's many operations. Should the process be
+    killed, its work is done here.
     """
 
     def __init__(self, config: Config, threads: int, aside: bool, sizes: Sizes = Sizes()) -> None:
         self._config, self._threads = config, threads
         self._pool = self._policy = None
         if aside:
-            spawn = multiprocessing.get_context("spawn")  # a fork would inherit torch's threads in the middle of work
+            spawn = multiprocessing.get_context("spawn")  # a fork would inherit threads in the middle of work
             self._pool = ProcessPoolExecutor(1, spawn, _prepare)
             with held_back():  # what the new process inherits: its imports are not interrupted
                 self._pool.submit(_policy, config, threads, sizes)  # all that takes time before the first episode
@@ -54,7 +53,7 @@ class Explorer:
         if self._pool:
             self._pool.shutdown(cancel_futures=True)
 
-    def start(self, actor: ValueNetwork, episodes: Sequence[int]) -> Callable[[], Explored]:
+    def start(self, actor: FastNetwork, episodes: Sequence[int]) -> Callable[[], Explored]:
         """Begin to `explore`, where that is aside, and return what waits for the outcome or else does the work.
 
         The actor must stay as it is until then.
@@ -62,7 +61,7 @@ class Explorer:
         here = partial(self._explore, actor, episodes)
         if self._pool is None:
             return here
-        weights = actor.flat.cpu().numpy().copy()
+        weights = actor.flat.copy()
         try:
             future = self._pool.submit(_explore_aside, weights, actor.sizes, self._config, self._threads, episodes)
         except BrokenProcessPool:
@@ -78,7 +77,7 @@ class Explorer:
 
         return outcome
 
-    def _explore(self, actor: ValueNetwork, episodes: Sequence[int]) -> Explored:
+    def _explore(self, actor: FastNetwork, episodes: Sequence[int]) -> Explored:
         if self._policy is None or self._policy.network is not actor:
             self._policy = SarlPolicy(actor, self._config, self._threads)
         return explore(self._policy, self._config, episodes)
@@ -90,7 +89,6 @@ def _prepare() -> None:
         signal.signal(number, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
-    torch.set_num_threads(1)
 
 
 @cache
@@ -102,7 +100,7 @@ def _explore_aside(
     weights: np.ndarray, sizes: Sizes, config: Config, threads: int, episodes: Sequence[int]
 ) -> Explored:
     policy = _policy(config, threads, sizes)
-    policy.network.flat.copy_(torch.from_numpy(weights))
+    policy.network.flat[:] = weights
     return explore(policy, config, episodes)
 
 

@@ -17,11 +17,12 @@ except ImportError:  # not on Windows, where a second process is not kept out
 
 RUNS = Path("runs")
 KINDS = ("il", "rl")
-WEIGHTS = "weights.pt"  # a run's trained network, in its folder once it has ended
-BEST = "best.pt"  # the network of the best validation
+WEIGHTS = "weights.npz"  # a run's trained network, in its folder once it has ended
+BEST = "best.npz"  # the network of the best validation
 DEMONSTRATIONS = "demonstrations.npz"
 MAP = "map.txt"  # the drawing, of a run that trains on one
 TABLES = ("metrics.csv", "validation.csv", "test.csv", "test-best.csv", "result.json")
+OLD = ("weights.pt", "best.pt")  # the same two in runs of versions before 0.3
 LOCK = ".lock"  # locked by the process that trains the run
 
 

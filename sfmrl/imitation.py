@@ -13,13 +13,13 @@ import numpy as np
 
 from sfmrl.config import Config, ConfigError, Simulation
 from sfmrl.episodes import Record, play_episodes, returns_of, rewards_of
+from sfmrl.fast import FastNetwork, new_network
 from sfmrl.files import DamagedFile, read_checked, write_atomically
 from sfmrl.folders import DEMONSTRATIONS
 from sfmrl.geometry import length
-from sfmrl.learning import Fit, torch_threads
+from sfmrl.learning import Fit
 from sfmrl.lookahead import step_discount
 from sfmrl.memory import Memory
-from sfmrl.network import ValueNetwork, new_network
 from sfmrl.policies import orca_policy
 from sfmrl.progress import Progress
 from sfmrl.rewards import Transition, reward_terms
@@ -32,7 +32,7 @@ DERIVED = ("time_step", "goal_distance_before")  # fields of a transition that t
 STORED = [item.name for item in fields(Transition) if item.name not in DERIVED]
 
 
-def imitate(run: Run, progress: Progress, stop: StopSignal, *, threads: int = 1) -> ValueNetwork:
+def imitate(run: Run, progress: Progress, stop: StopSignal) -> FastNetwork:
     """Run or go on with an imitation run to its end; raises Interrupted once `stop` has been requested."""
     config = run.config
     path = run.folder / DEMONSTRATIONS
@@ -56,7 +56,7 @@ def imitate(run: Run, progress: Progress, stop: StopSignal, *, threads: int = 1)
             raise Interrupted
 
     run.write_table("metrics.csv", rows)
-    fit_memory(fit, memory, progress, keep, threads)
+    fit_memory(fit, memory, progress, keep)
     run.finish(fit.network)
     return fit.network
 
@@ -92,10 +92,10 @@ def new_fit(config: Config) -> Fit:
     return Fit(network, config.imitation, generator(config.seed, "fit"))
 
 
-def fit_memory(fit: Fit, memory: Memory, progress: Progress, keep: Callable[[dict], None], threads: int = 1) -> None:
+def fit_memory(fit: Fit, memory: Memory, progress: Progress, keep: Callable[[dict], None]) -> None:
     """Run the epochs that are left; `keep` is given a row of metrics after each."""
     batches = -(-len(memory) // fit.settings.batch_size)
-    with progress("imitation", (fit.settings.epochs - fit.epoch) * batches) as told, torch_threads(threads):
+    with progress("imitation", (fit.settings.epochs - fit.epoch) * batches) as told:
         while fit.epoch < fit.settings.epochs:
             loss = fit.run_epoch(memory, told)
             keep({"epoch": fit.epoch, "loss": loss})

@@ -4,13 +4,14 @@ The target network gives the values that others bootstrap from and is renewed at
 network slowly and is what a quick training is tested with (Polyak and Juditsky, 1992).
 """
 
-import copy
 from typing import Any
 
+import numpy as np
+
 from sfmrl.config import Config
+from sfmrl.fast import FastNetwork
 from sfmrl.learning import OPTIMIZERS, SCHEDULES, forget, generator_state, learn, mean_loss, set_generator_state
 from sfmrl.memory import Memory
-from sfmrl.network import ValueNetwork
 from sfmrl.scenarios import generator
 
 PARTS = ("network", "actor", "target", "average", "optimizer", "memory")
@@ -20,12 +21,12 @@ COUNTERS = ("episode", "batch", "rows", "validations")
 class Learner:
     """All that has to be kept to go on to the same bits after an interruption."""
 
-    def __init__(self, network: ValueNetwork, memory: Memory, config: Config) -> None:
+    def __init__(self, network: FastNetwork, memory: Memory, config: Config) -> None:
         self.config, self.memory, self.network = config, memory, network
-        self.target = copy.deepcopy(network)
-        self.average = copy.deepcopy(network)
+        self.target = network.copy()
+        self.average = network.copy()
         # What explores: the network itself, or what it was before the batches that are being learnt meanwhile.
-        self.actor = copy.deepcopy(network) if config.reinforcement.overlap else network
+        self.actor = network.copy() if config.reinforcement.overlap else network
         self.optimizer = OPTIMIZERS[config.reinforcement.optimizer](network)
         self.rng = generator(config.seed, "batches")
         self.episode = self.batch = 0
@@ -33,7 +34,7 @@ class Learner:
         self.validations: list[dict[str, Any]] = []
 
     @property
-    def tested(self) -> ValueNetwork:
+    def tested(self) -> FastNetwork:
         """The network that validation and test use."""
         return self.average if self.config.reinforcement.average else self.network
 
@@ -62,12 +63,11 @@ class Learner:
         renew = self.episode // interval < (self.episode + episodes) // interval
         self.episode += episodes
         if renew:
-            self.target.load_state_dict(self.network.state_dict())
+            self.target.flat[:] = self.network.flat
 
     def renew_actor(self) -> None:
         """Let the next episodes be played with the network as it is now."""
-        if self.actor is not self.network:
-            self.actor.load_state_dict(self.network.state_dict())
+        self.actor.flat[:] = self.network.flat
 
     def state_dict(self) -> dict[str, Any]:
         """All that decides how the training goes on."""
@@ -84,6 +84,6 @@ class Learner:
         set_generator_state(self.rng, saved["rng"])
 
 
-def follow(average: ValueNetwork, network: ValueNetwork, share: float) -> None:
+def follow(average: FastNetwork, network: FastNetwork, share: float) -> None:
     """Move an average's parameters by `share` of the way to a network's."""
-    average.flat.lerp_(network.flat, share)
+    average.flat += np.float32(share) * (network.flat - average.flat)

@@ -6,23 +6,17 @@ of progress, so a resumed training needs no scheduler's state.
 
 import json
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
-from torch.optim.sgd import sgd
 
 from sfmrl.config import ConfigError, Imitation, Reinforcement
-from sfmrl.gradients import loss_and_gradients
+from sfmrl.fast import FastNetwork
 from sfmrl.memory import Memory
-from sfmrl.network import ValueNetwork
 
 MOMENTUM = 0.9  # of SGD, as in the paper
-PLAIN = {"weight_decay": 0.0, "dampening": 0.0, "nesterov": False, "maximize": False, "fused": True}  # the rest of SGD
-USEFUL_THREADS = 2  # a batch is too small for more
+MEAN, SQUARE, TINY = 0.9, 0.999, 1e-8  # of Adam, as its authors suggest
 FORGOTTEN = 1e-20  # a mean gradient too small to move a parameter; hundreds of steps later it would be denormal
 
 
@@ -43,38 +37,77 @@ def _one_cycle(progress: float) -> float:
 
 
 SCHEDULES: dict[str, Callable[[float], float]] = {"constant": _constant, "linear": _linear, "one-cycle": _one_cycle}
-OPTIMIZERS: dict[str, Callable[[ValueNetwork], torch.optim.Optimizer]] = {
-    "sgd": lambda network: torch.optim.SGD([network.flat], lr=0.0, momentum=MOMENTUM, fused=True),
-    "adam": lambda network: torch.optim.Adam([network.flat], lr=0.0, fused=True),
-}
 
 
-@contextmanager
-def torch_threads(count: int) -> Iterator[None]:
-    """Let torch use `count` threads on this one, two at most, and then one again."""
-    torch.set_num_threads(min(count, USEFUL_THREADS))
-    try:
-        yield
-    finally:
-        torch.set_num_threads(1)
+class SGD:
+    """Descent along the running sum of gradients, each step's weighing `MOMENTUM` less at the next (Polyak, 1964)."""
+
+    def __init__(self, network: FastNetwork) -> None:
+        self.network = network
+        self.moments = [np.zeros_like(network.flat)]
+        self.steps = 0
+
+    def step(self, rate: float) -> None:
+        """Move the network's parameters at learning rate `rate`."""
+        (velocity,) = self.moments
+        velocity *= np.float32(MOMENTUM)
+        velocity += self.network.gradient
+        self.network.flat -= np.float32(rate) * velocity
+        self.steps += 1
+
+    def state_dict(self) -> dict[str, Any]:
+        """What it has to keep to go on."""
+        return {"moments": self.moments, "steps": self.steps}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Take back what `state_dict` gave."""
+        self.moments, self.steps = saved["moments"], saved["steps"]
 
 
-def learn(
-    network: ValueNetwork, optimizer: torch.optim.Optimizer, rate: float, states: Tensor, values: Tensor
-) -> Tensor:
-    """One step of descent at learning rate `rate` on states (B, K, F) and values (B,); returns the loss, a scalar."""
-    loss, _ = loss_and_gradients(network, states, values)
-    _descend(optimizer, network.flat, rate)
+class Adam(SGD):
+    """Descent along the running mean of gradients over the root of that of their squares (Kingma and Ba, 2015)."""
+
+    def __init__(self, network: FastNetwork) -> None:
+        super().__init__(network)
+        self.moments.append(np.zeros_like(network.flat))
+
+    def step(self, rate: float) -> None:
+        """Move the network's parameters at learning rate `rate`; both means are corrected for their start at 0."""
+        mean, square = self.moments
+        self.steps += 1
+        change = self.network.gradient - mean
+        change *= np.float32(1 - MEAN)
+        mean += change
+        np.square(self.network.gradient, out=change)
+        change -= square
+        change *= np.float32(1 - SQUARE)
+        square += change
+        np.sqrt(square, out=change)
+        change *= np.float32((1 - SQUARE**self.steps) ** -0.5)
+        change += np.float32(TINY)
+        np.divide(mean, change, out=change)
+        change *= np.float32(rate / (1 - MEAN**self.steps))
+        self.network.flat -= change
+
+
+OPTIMIZERS: dict[str, type[SGD]] = {"sgd": SGD, "adam": Adam}
+
+
+@np.errstate(over="ignore", invalid="ignore")  # found by `mean_loss`
+def learn(network: FastNetwork, optimizer: SGD, rate: float, states: np.ndarray, values: np.ndarray) -> float:
+    """One step of descent at learning rate `rate` on states (B, K, F) and values (B,); returns the loss."""
+    loss, _ = network.loss_and_gradients(states, values)
+    optimizer.step(rate)
     return loss
 
 
-def mean_loss(losses: list[Tensor], network: ValueNetwork, settings: Imitation | Reinforcement) -> float:
+def mean_loss(losses: list[float], network: FastNetwork, settings: Imitation | Reinforcement) -> float:
     """The mean of the losses of steps of descent; raises ConfigError where it or the network is not finite after them.
 
     Checkpoints are written after this, so the last one is finite.
     """
-    loss = float(torch.stack(losses).mean())
-    if not (math.isfinite(loss) and bool(network.flat.isfinite().all())):
+    loss = float(np.mean(losses))
+    if not (math.isfinite(loss) and np.isfinite(network.flat).all()):
         raise ConfigError(
             f"the training diverged, its loss is {loss:g}: learning-rate {settings.learning_rate:g} is likely too high "
             f"for {settings.optimizer} (or the rewards are too large); start a new run with a smaller --learning-rate. "
@@ -83,36 +116,20 @@ def mean_loss(losses: list[Tensor], network: ValueNetwork, settings: Imitation |
     return loss
 
 
-@torch.no_grad()
-def _descend(optimizer: torch.optim.Optimizer, flat: Tensor, rate: float) -> None:
-    """An optimizer's step; SGD's without what torch does around it, which takes longer than the arithmetic."""
-    if isinstance(optimizer, torch.optim.SGD):
-        state = optimizer.state[flat]
-        if "momentum_buffer" not in state:
-            state["momentum_buffer"] = torch.zeros_like(flat)
-        sgd([flat], [flat.grad], [state["momentum_buffer"]], lr=rate, momentum=MOMENTUM, **PLAIN)
-    else:
-        for group in optimizer.param_groups:
-            group["lr"] = rate
-        optimizer.step()
-
-
-def forget(optimizer: torch.optim.Optimizer) -> None:
+def forget(optimizer: SGD) -> None:
     """Take what is left of gradients long past out of an optimizer's running means; to be done every few hundred steps.
 
     A unit that is no longer active has no gradient, and its mean falls until it is denormal, which processors are slow
     with: a tenth of the parameters made a step of Adam more than twice as slow.
     """
-    for state in optimizer.state.values():
-        for name in ("momentum_buffer", "exp_avg"):
-            if name in state:
-                state[name].masked_fill_(state[name].abs() < FORGOTTEN, 0.0)
+    mean = optimizer.moments[0]
+    mean[np.abs(mean) < FORGOTTEN] = 0.0
 
 
 class Fit:
     """A network on its way through the epochs of imitation: what has to be kept to go on after an interruption."""
 
-    def __init__(self, network: ValueNetwork, settings: Imitation, rng: np.random.Generator) -> None:
+    def __init__(self, network: FastNetwork, settings: Imitation, rng: np.random.Generator) -> None:
         self.network, self.settings, self.rng = network, settings, rng
         self.optimizer = OPTIMIZERS[settings.optimizer](network)
         self.epoch = 0

@@ -14,12 +14,11 @@ import numpy as np
 from sfmrl.actions import ACTIONS, best_untrapped
 from sfmrl.config import Config, ConfigError, Simulation
 from sfmrl.crowd import World, transition
+from sfmrl.fast import as_fast
 from sfmrl.rewards import COLLISION, reward_terms, total
 from sfmrl.states import robot_states
 
-# Episodes at most that are looked at together, by the network's precision: few enough for the processor's cache, and
-# enough to make up for what an operation costs that has little to do.
-BLOCK = {"fp32": 8, "bf16": 16}
+BLOCK = 4  # episodes at most that are looked at together, so that what is computed stays in the processor's cache
 
 # (world, crowd_velocity) -> the robot's actions (E, 2) in m/s; `crowd_velocity` (E, N, 2) is what the people are about
 # to do.
@@ -38,18 +37,18 @@ class Lookahead:
 class SarlPolicy:
     """Take the action with the highest reward plus discounted value of where it leads; a Policy.
 
-    `network` is a ValueNetwork, `config` says with which reward, discount and state it looks ahead. Blocks of episodes
-    are spread over `threads` threads, each with one of torch's own; what shares a block changes no number.
+    `network` is a FastNetwork, or a ValueNetwork of which it makes one; `config` says with which reward, discount and
+    state it looks ahead. Blocks of episodes are spread over `threads` threads; what shares a block changes no number.
     """
 
     batch = 32  # episodes side by side: the network is what takes the time, and more would only end later
 
     def __init__(self, network, config: Config, threads: int = 1) -> None:
-        self.network, self.config = network, config
+        self.network, self.config = as_fast(network), config
         self.threads = threads
         self.trap_steps = int(config.avoid_traps)  # how far ahead it looks for places that it could not leave
         self._terms = reward_terms(config.reward)
-        self._pool = worker_threads(threads)
+        self._pool = ThreadPoolExecutor(threads)
 
     def __call__(self, world: World, crowd_velocity: np.ndarray) -> np.ndarray:
         look = self.lookahead(world, crowd_velocity)
@@ -58,7 +57,7 @@ class SarlPolicy:
     def lookahead(self, world: World, crowd_velocity: np.ndarray) -> Lookahead:
         """Values of all actions in every episode of the world."""
         actions = ACTIONS * world.v_pref[:, 0, None, None]  # (E, A, 2)
-        size = max(1, min(BLOCK[self.network.precision], -(-len(world) // self.threads)))
+        size = max(1, min(BLOCK, -(-len(world) // self.threads)))
         blocks = [slice(e, e + size) for e in range(0, len(world), size)] or [slice(0)]
         parts = self._pool.map(lambda rows: self._values(world, crowd_velocity, actions, rows), blocks)
         values, outcome = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -95,7 +94,7 @@ class SarlPolicy:
             world.radius[:, None, 1:],
             forces=self.config.forces,
         )  # (e, A, K, F)
-        ahead = self.network.evaluate(states.reshape(-1, *states.shape[2:]))[0].reshape(reward.shape)
+        ahead = self.network.evaluate(states)[0]
         if self.config.collision_ends:
             ahead = np.where(step.outcome == COLLISION, 0.0, ahead)
         return reward + step_discount(self.config.discount, world.v_pref[:, :1], world.simulation) * ahead, step.outcome
@@ -124,14 +123,3 @@ def step_discount(discount: float, v_pref: np.ndarray, simulation: Simulation) -
 def available_cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def worker_threads(count: int) -> ThreadPoolExecutor:
-    """Threads to compute on, with torch kept to the one thread in each that it is."""
-    import torch
-
-    def prepare() -> None:
-        torch.get_num_threads()  # makes torch settle on a number for this thread, which it would else do later
-        torch.set_num_threads(1)
-
-    return ThreadPoolExecutor(count, initializer=prepare)

@@ -1,8 +1,8 @@
 """A bounded store of states and the values to learn for them, the oldest replaced first."""
 
+from typing import Any
+
 import numpy as np
-import torch
-from torch import Tensor
 
 
 class Memory:
@@ -31,17 +31,15 @@ class Memory:
         self.next = int((self.next + len(states)) % capacity)
         self.size = min(self.size + len(states), capacity)
 
-    def take(self, rows: np.ndarray) -> tuple[Tensor, Tensor]:
-        """The states (B, K, F) and values (B,) at some indices, as tensors."""
-        return torch.from_numpy(self.states[rows]), torch.from_numpy(self.values[rows])
+    def take(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The states (B, K, F) and values (B,) at some indices."""
+        return self.states[rows], self.values[rows]
 
-    def state_dict(self) -> dict:
+    def state_dict(self) -> dict[str, Any]:
         """All that is stored, for a checkpoint."""
-        filled = slice(0, self.size)
-        states, values = torch.from_numpy(self.states[filled]), torch.from_numpy(self.values[filled])
-        return {"states": states, "values": values, "next": self.next}
+        return {"states": self.states[: self.size], "values": self.values[: self.size], "next": self.next}
 
-    def load_state_dict(self, saved: dict) -> None:
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Take back what `state_dict` gave."""
         self.size, self.next = len(saved["values"]), saved["next"]
-        self.states[: self.size], self.values[: self.size] = saved["states"].numpy(), saved["values"].numpy()
+        self.states[: self.size], self.values[: self.size] = saved["states"], saved["values"]

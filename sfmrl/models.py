@@ -28,7 +28,7 @@ def model_card(name: str) -> dict[str, Any]:
 
 def model_weights(name: str) -> Path:
     """A network's weights file; raises DamagedFile where it is not the one that its card describes."""
-    path = FOLDER / f"{name}.pt"
+    path = FOLDER / f"{name}.npz"
     if not path.exists() or digest_of(path) != model_card(name).get("sha256"):
         raise DamagedFile(f"{path} is not what sfmrl came with; install sfmrl again")
     return path

@@ -8,7 +8,7 @@ import numpy as np
 from sfmrl.config import ConfigError, suggest
 from sfmrl.crowd import World, orca_crowd, sfm_crowd
 from sfmrl.files import read_checked
-from sfmrl.folders import WEIGHTS, unfinished
+from sfmrl.folders import OLD, WEIGHTS, unfinished
 from sfmrl.lookahead import Policy, SarlPolicy, available_cores
 from sfmrl.models import model_names, model_weights
 from sfmrl.own_code import kind, trusted
@@ -59,7 +59,7 @@ def load_policy(name_or_path: str | Path, threads: int | None = None, *, trust_r
     """
     if str(name_or_path) in POLICIES:
         return POLICIES[str(name_or_path)]
-    from sfmrl.weights import load_weights  # torch takes seconds to import: only for those who need it
+    from sfmrl.weights import load_weights
 
     network, config = load_weights(find_weights(name_or_path))
     config = trusted(config, trust_reward)
@@ -83,10 +83,11 @@ def find_weights(name_or_path: str | Path) -> Path:
         return path
     if (path / CROWDNAV).exists() and not (path / "run.json").exists():
         return path / CROWDNAV
-    if not (path / "run.json").exists() and not (path / WEIGHTS).exists():
+    if not any((path / name).exists() for name in ("run.json", WEIGHTS, OLD[0])):
         raise ConfigError(f"{path} is not a run folder: it has neither run.json nor {WEIGHTS}; name one that has")
     for name in ("run.json", "config.json") if (path / "run.json").exists() else ():
         read_checked(path / name)
-    if not (path / WEIGHTS).exists():
-        raise ConfigError(unfinished(path))
-    return path / WEIGHTS
+    for name in (WEIGHTS, OLD[0]):
+        if (path / name).exists():
+            return path / name
+    raise ConfigError(unfinished(path))

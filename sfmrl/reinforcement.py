@@ -18,7 +18,6 @@ from sfmrl.files import DamagedFile, digest_of, read_sums
 from sfmrl.folders import BEST, DEMONSTRATIONS, run_folders, unfinished
 from sfmrl.imitation import fill_memory, fit_memory, load_demonstrations, make_memory, new_fit
 from sfmrl.learner import Learner
-from sfmrl.learning import torch_threads
 from sfmrl.lookahead import Policy, SarlPolicy
 from sfmrl.policies import WEIGHTS
 from sfmrl.progress import Progress, no_progress
@@ -46,7 +45,7 @@ def reinforce(
     Raises Interrupted, with a checkpoint just written, once `stop` has been requested.
     """
     config, settings = run.config, run.config.reinforcement
-    learner = begin(run, progress, stop, say, threads)
+    learner = begin(run, progress, stop, say)
     run.write_table("metrics.csv", learner.rows)
     run.write_table("validation.csv", learner.validations)
     alone = SarlPolicy(learner.tested, config, threads)
@@ -76,7 +75,7 @@ def reinforce(
                 say(f"validation at {learner.episode} of {settings.episodes}: {summary(rates)}")
             if learner.episode >= settings.episodes:
                 break
-            train_stretch(run, learner, explorer, told, stop, 1 if aside else threads)
+            train_stretch(run, learner, explorer, told, stop)
     run.save_checkpoint(learner.state_dict())
     record = play("test", settings.test_episodes)
     result = metrics(record)
@@ -97,7 +96,7 @@ def reinforce(
 
 
 def train_stretch(
-    run: Run, learner: Learner, explorer: Explorer, told: Callable[[int], None], stop: StopSignal, threads: int
+    run: Run, learner: Learner, explorer: Explorer, told: Callable[[int], None], stop: StopSignal
 ) -> None:
     """Play and learn up to the next validation; `told` is given the number of episodes after each round.
 
@@ -120,8 +119,7 @@ def train_stretch(
         first += len(record.steps)
         if first < end:
             ahead = start()
-        with torch_threads(threads):
-            loss = learner.learn(len(record.steps) * settings.batches)
+        loss = learner.learn(len(record.steps) * settings.batches)
         learner.advance(len(record.steps))
         rows = [row | {"loss": loss} for row in episode_rows(record)]
         learner.rows += rows
@@ -188,13 +186,13 @@ def fits(folder: Path, config: Config) -> bool:
     return run.finished and same
 
 
-def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], None], threads: int) -> Learner:
+def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], None]) -> Learner:
     """The training where it was left, or at its start: after imitation, done again where reward or state differ."""
     config, saved = run.config, run.load_checkpoint()
     memory = make_memory(config)
     if saved and "fit" not in saved:
         with run.restoring():
-            network = network_from(saved["network"], "it", config.value_prior, config.precision)
+            network = network_from(saved["network"], "it", config.value_prior)
             learner = Learner(network, memory, config)
             learner.load_state_dict(saved)
             return learner
@@ -203,7 +201,7 @@ def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], N
         if not path.is_file() or digest_of(path) != weights["sha256"]:
             raise DamagedFile(f"{path} is not what this run began with any more; put it back, or start a new run")
         parameters = load_weights(path)[0].state_dict()
-        return Learner(network_from(parameters, str(path), config.value_prior, config.precision), memory, config)
+        return Learner(network_from(parameters, str(path), config.value_prior), memory, config)
     fit = new_fit(config)
     if run.imitation is None:
         return Learner(fit.network, memory, config)
@@ -230,7 +228,7 @@ def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], N
         if stop.requested:
             raise Interrupted
 
-    fit_memory(fit, memory, progress, keep, threads)
+    fit_memory(fit, memory, progress, keep)
     return Learner(fit.network, memory, config)
 
 
@@ -238,7 +236,7 @@ def same_task(one: Config, other: Config) -> bool:
     """Whether a network fitted under one config is what the other would have fitted to the same demonstrations."""
     return all(
         getattr(one, name) == getattr(other, name)
-        for name in ("forces", "precision", "discount", "value_prior", "reward", "imitation")
+        for name in ("forces", "discount", "value_prior", "reward", "imitation")
     )
 
 

@@ -2,8 +2,8 @@
 
     config.json        every setting                    metrics.csv      a line an epoch, or an episode
     run.json           kind, command, versions          validation.csv   rates during the training
-    checkpoint-N.pt    all that resuming needs          weights.pt       the trained network, when done
-    demonstrations.npz what imitation learnt from       best.pt          the network of the best validation
+    checkpoint-N.npz   all that resuming needs          weights.npz      the trained network, when done
+    demonstrations.npz what imitation learnt from       best.npz         the network of the best validation
     map.txt            the map, if it trains on one     test.csv         a line an episode of the final test
     SHA256SUMS         a digest of each file            result.json      the final test's metrics
 
@@ -18,6 +18,7 @@ import platform
 import re
 import shlex
 import sys
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -27,11 +28,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from sfmrl import __version__
 from sfmrl.bits import machine_bits
 from sfmrl.config import Config, ConfigError
+from sfmrl.fast import FastNetwork, kernels
 from sfmrl.files import (
     SUMS,
     TEMPORARY,
@@ -54,6 +55,7 @@ from sfmrl.folders import (
     KINDS,
     LOCK,
     MAP,
+    OLD,
     RUNS,
     TABLES,
     WEIGHTS,
@@ -65,17 +67,17 @@ from sfmrl.folders import (
     run_folders,
 )
 from sfmrl.layouts import DRAWN
-from sfmrl.network import ValueNetwork, resolved
 from sfmrl.own_code import reward_digest
 from sfmrl.rewards import reward_terms
 from sfmrl.scenarios import parse_mix
 from sfmrl.variants import variant_name
-from sfmrl.weights import read_foreign, weights_file
+from sfmrl.weights import weights_file
 
+OLDER = ("0.1.", "0.2.")  # versions whose runs hold other weights and checkpoints
 KEEP = 2  # checkpoints kept: the newest, and one to fall back on
-CHECKPOINT = re.compile(r"checkpoint-\d{6}\.pt")
+CHECKPOINT = re.compile(r"checkpoint-\d{6}\.npz")
 MADE = ("config.json", MAP, "run.json")  # with a new run, in this order: with run.json, the run is there
-WRITTEN = {*MADE, *TABLES, WEIGHTS, BEST, DEMONSTRATIONS, SUMS}  # with checkpoints, all that a run ever writes
+WRITTEN = {*MADE, *TABLES, WEIGHTS, BEST, *OLD, DEMONSTRATIONS, SUMS}  # with checkpoints, all that a run ever writes
 
 
 @dataclass(frozen=True)
@@ -101,16 +103,14 @@ class Run:
     def save_checkpoint(self, state: dict[str, Any]) -> None:
         """Keep all that resuming needs, under the next number; older checkpoints but one are removed."""
         number = 1 + max((int(path.stem.rpartition("-")[2]) for path in self.checkpoints()), default=0)
-        buffer = io.BytesIO()
-        torch.save(state, buffer)
-        write_atomically(self.folder / f"checkpoint-{number:06d}.pt", buffer.getvalue())
+        write_atomically(self.folder / f"checkpoint-{number:06d}.npz", _state_file(state))
         remove_checked(self.checkpoints()[:-KEEP])
 
     def checkpoints(self) -> list[Path]:
         """The checkpoint files, oldest first."""
         return sorted(path for path in self.folder.iterdir() if CHECKPOINT.fullmatch(path.name))
 
-    def finish(self, network: ValueNetwork) -> None:
+    def finish(self, network: FastNetwork) -> None:
         """Save the trained network, list the tables in SHA256SUMS, and delete the checkpoints."""
         tables = [name for name in TABLES if (self.folder / name).exists()]
         write_together(self.folder, {WEIGHTS: weights_file(network, self.config)}, tables)
@@ -136,17 +136,18 @@ class Run:
         except DamagedFile as error:
             before = f"to go on from {saved[-2].name}" if len(saved) > 1 else "to start this run anew"
             raise DamagedFile(f"{error}, or delete it {before}") from None
-        state = read_foreign(data, saved[-1])
-        if not isinstance(state, dict) or not state:
-            raise DamagedFile(f"{saved[-1]} is no checkpoint of this run (it is empty); delete it")
-        return state
+        with self.restoring(), np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+            state = json.loads(str(arrays["json"]), object_hook=lambda d: arrays[d["array"]] if "array" in d else d)
+            if not isinstance(state, dict) or not state:
+                raise ValueError("it is empty")
+            return state
 
     @contextmanager
     def restoring(self) -> Iterator[None]:
         """Turn what a checkpoint of another run, or an odd one, leads its readers to into DamagedFile."""
         try:
             yield
-        except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        except (LookupError, TypeError, ValueError, AttributeError, zipfile.BadZipFile) as error:
             said = str(error).strip().partition("\n")[0].rstrip(":")
             raise DamagedFile(f"{self.checkpoints()[-1]} is no checkpoint of this run ({said}); delete it") from None
 
@@ -172,6 +173,19 @@ def check_names(config: Config) -> None:
     reward_terms(config.reward)
 
 
+def _state_file(state: dict[str, Any]) -> bytes:
+    """The bytes of a file with a nested state: JSON, and beside it the arrays, which the JSON names."""
+    arrays: dict[str, np.ndarray] = {}
+
+    def put_aside(array: np.ndarray) -> dict[str, str]:
+        arrays[name := f"array{len(arrays)}"] = array
+        return {"array": name}
+
+    text, buffer = json.dumps(state, default=put_aside), io.BytesIO()
+    np.savez(buffer, json=text, **arrays)
+    return buffer.getvalue()
+
+
 def create_run(
     kind: str,
     config: Config,
@@ -194,7 +208,6 @@ def create_run(
     schedule = config.reinforcement
     if go_on and folder is not None and kind_of(folder):
         return _same_run(folder, kind, config)
-    config = replace(config, precision=resolved(config.precision))
     files = {"config.json": config.to_json()}
     if schedule.environment.startswith(DRAWN):
         files[MAP] = schedule.environment.removeprefix(DRAWN).replace("/", "\n") + "\n"
@@ -285,8 +298,6 @@ def _is_of_a_run(name: str) -> bool:
 def _same_run(folder: Path, kind: str, config: Config) -> Run:
     """The run in a folder; raises ConfigError, naming a setting, where it was begun with another config."""
     run = open_run(folder, kind)
-    if config.precision == "auto":
-        config = replace(config, precision=run.config.precision)  # as it was resolved where the run began
     for pair in zip(run.config.to_json().split("\n"), config.to_json().split("\n"), strict=True):
         begun, asked = (line.strip(" ,") for line in pair)
         if begun != asked:
@@ -302,6 +313,9 @@ def open_run(folder: Path, kind: str | None = None) -> Run:
         known = ", ".join(runs) or "none yet, sfmrl il makes one"
         raise ConfigError(f"{folder} {what}; known runs: {known}")
     facts = _facts(folder / "run.json")
+    made = str(facts["versions"].get("sfmrl"))
+    if made.startswith(OLDER):
+        raise ConfigError(f"{folder} was made by sfmrl {made}; this version only plays its {OLD[0]}, install that one")
     try:
         config = Config.from_json(read_checked(folder / "config.json"))
     except ConfigError as error:
@@ -356,8 +370,7 @@ def versions() -> dict[str, str]:
         "sfmrl": __version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
-        "torch": torch.__version__,
         "system": platform.platform(),
-        "processor": torch.backends.cpu.get_cpu_capability(),
+        "processor": kernels(),
         "bits": machine_bits(),
     }

@@ -54,12 +54,9 @@ def finished(run: Any) -> bool:
 
 
 def use_threads(threads: int | None) -> int:
-    """How many threads to work on; torch itself is kept to one in each, but where learning lets it use more."""
-    import torch
-
+    """How many threads to work on."""
     from sfmrl.lookahead import available_cores
 
-    torch.set_num_threads(1)
     return threads or available_cores()
 
 

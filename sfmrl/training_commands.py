@@ -25,7 +25,7 @@ def il(
     overwrite: options.Overwrite = False,
     go_on: options.Continue = False,
     trust_reward: options.TrustReward = False,
-    threads: options.Threads = None,
+    threads: options.Threads = None,  # as the other commands have it; ORCA and learning take one
     *,
     settings: dict[str, Any],
 ) -> None:
@@ -33,7 +33,6 @@ def il(
     from sfmrl.imitation import imitate
     from sfmrl.runs import create_run
 
-    workers = use_threads(threads)
     if resume:
         given = [variant, run, overwrite or None, go_on or None, *settings.values()]
         current = reopen("il", resume, given, trust_reward)
@@ -41,7 +40,7 @@ def il(
         current = create_run("il", new_config(variant, settings), run, **existing(run, overwrite, go_on))
     if go_on and finished(current):
         return
-    train(current, lambda progress, stop: imitate(current, progress, stop, threads=workers))
+    train(current, lambda progress, stop: imitate(current, progress, stop))
     plain, made = asdict(Config()), asdict(current.config)
     needed = {name: made[name] for name in ("preset", "seed") if made[name] != plain[name]}
     needed |= {name: value for name, value in made["simulation"].items() if value != plain["simulation"][name]}

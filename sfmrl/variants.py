@@ -14,7 +14,6 @@ PRESETS: dict[str, dict[str, Any]] = {
     "paper": {"preset": "paper"},
     "quick": {
         "preset": "quick",
-        "precision": "auto",
         "value_prior": True,
         "collision_ends": True,
         "avoid_traps": True,

@@ -1,17 +1,18 @@
-"""Networks in files: sfmrl's own, which hold the config too, and CrowdNav's SARL checkpoints."""
+"""Networks in files: sfmrl's own in NumPy's format, with the config, and CrowdNav's SARL checkpoints in torch's."""
 
 import configparser
 import io
 import warnings
+import zipfile
 from pathlib import Path
 from typing import Any
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from sfmrl.config import Config, ConfigError
+from sfmrl.fast import FastNetwork
+from sfmrl.fast.layers import Parameters, Sizes, layer_shapes
 from sfmrl.files import DamagedFile, read_listed, read_regular, write_atomically
-from sfmrl.network import Sizes, ValueNetwork
 from sfmrl.states import OWN, column_names
 
 WRAPPERS = ("state_dict", "model_state_dict", "model")  # keys under which a file may hold its parameters
@@ -26,28 +27,23 @@ NO_WEIGHTS = {  # beginnings of files that are something else
 }
 
 
-def network_from(state_dict: Any, source: str, value_prior: bool = False, precision: str = "fp32") -> ValueNetwork:
+def network_from(parameters: Any, source: str, value_prior: bool = False) -> FastNetwork:
     """The network whose parameters these are: sfmrl's own, or those of a CrowdNav SARL checkpoint, wrapped or not.
 
     Its layers have the sizes of the parameters. Raises ConfigError, naming `source` and the first layer that differs,
     where they are not a SARL network's, and where they are not finite.
     """
-    parameters = unwrapped(state_dict)
     try:
-        forces, sizes = architecture(parameters)
+        arrays = sarl_parameters(unwrapped(parameters))
     except ValueError as error:
         raise ConfigError(f"{source} does not hold a SARL network: {error}") from None
-    network = ValueNetwork(forces, value_prior, precision=precision, sizes=sizes)
-    for name, wanted in network.state_dict().items():
-        if parameters[name].shape != wanted.shape:
-            shapes = f"{tuple(parameters[name].shape)}, not {tuple(wanted.shape)}"
-            raise ConfigError(f"{source} does not hold a SARL network: {name} is {shapes}")
-        if not bool(wanted.copy_(parameters[name].detach()).isfinite().all()):
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
             raise ConfigError(
                 f"{source} cannot be used: {name} holds numbers that are not finite, so its training diverged; "
                 "train it again with a smaller learning rate"
             )
-    return network
+    return FastNetwork(arrays, value_prior)
 
 
 def unwrapped(content: Any) -> Any:
@@ -61,8 +57,8 @@ def unwrapped(content: Any) -> Any:
     return content
 
 
-def architecture(parameters: Any) -> tuple[bool, Sizes]:
-    """Whether the SARL network with these parameters reads social forces, and the sizes of its layers.
+def sarl_parameters(parameters: Any) -> Parameters:
+    """The parameters of a SARL network, with layers of any size, as float32 arrays in the order of its layers.
 
     Raises ValueError, with the reason, where they are those of another network or of none.
     """
@@ -72,53 +68,70 @@ def architecture(parameters: Any) -> tuple[bool, Sizes]:
     for beginning, what in ((CADRL, "CADRL, which looks at one person at a time"), (LSTM_RL, "LSTM-RL")):
         if any(name.startswith(beginning) for name in names):
             raise ValueError(f"it is another network of CrowdNav's, {what}")
-    known = [
-        f"{part}.{2 * k}.{kind}"
-        for part, units in Sizes()._asdict().items()
-        for k in range(len(units))
-        for kind in ("weight", "bias")
-    ]
+    known = list(layer_shapes(False))
     if absent := [name for name in known if name not in parameters]:
         raise ValueError(f"there is no {absent[0]}" + (f"; its first layer is {names[0]}" if names else ""))
     if others := [name for name in names if name not in known]:
         raise ValueError(f"there is {others[0]}, too")
-    for name, value in parameters.items():
-        dense = (
-            isinstance(value, Tensor) and value.layout == torch.strided and not value.is_nested and not value.is_meta
-        )
-        if not dense or not value.is_floating_point() or value.dim() != (2 if name.endswith("weight") else 1):
+    arrays = {}
+    for name in known:
+        array = _plain(parameters[name])
+        if array is None or array.ndim != (2 if name.endswith("weight") else 1):
             raise ValueError(f"{name} is not a plain tensor of floating-point numbers")
-        if not 0 < min(value.shape) <= max(value.shape) <= UNITS:
-            raise ValueError(f"{name} is {tuple(value.shape)}; a layer has 1 to {UNITS} units")
-    units, inputs = ([parameters[name].shape[k] for name in known[::2]] for k in (0, 1))
+        if not 0 < min(array.shape) <= max(array.shape) <= UNITS:
+            raise ValueError(f"{name} is {array.shape}; a layer has 1 to {UNITS} units")
+        arrays[name] = array.astype(np.float32)
+    units, inputs = ([arrays[name].shape[k] for name in known[::2]] for k in (0, 1))
     sizes = Sizes(tuple(units[:2]), tuple(units[2:4]), (*units[4:6], 1), (*units[7:10], 1))
     if inputs[0] > len(column_names(False)) and inputs[7] == len(OWN) + sizes.mlp2[-1]:
         raise ValueError(f"it is OM-SARL: mlp1.0.weight reads {inputs[0]} columns, with those of an occupancy map")
     if inputs[4] == sizes.mlp1[-1]:
         raise ValueError("attention.0.weight does not read the mean of all people (with_global_state = false)")
-    return inputs[0] == len(column_names(True)), sizes
+    for name, shape in layer_shapes(inputs[0] == len(column_names(True)), sizes).items():
+        if arrays[name].shape != shape:
+            raise ValueError(f"{name} is {arrays[name].shape}, not {shape}")
+    return arrays
 
 
-def weights_file(network: ValueNetwork, config: Config) -> bytes:
-    """The bytes of a file with a network and the config it was trained under."""
+def _plain(value: Any) -> np.ndarray | None:
+    """A dense array, or a dense tensor as one, of floating-point numbers; None for all else."""
+    if not isinstance(value, np.ndarray):
+        try:  # a tensor that is sparse, quantised, nested or on no device cannot be an array
+            value = value.detach().float().numpy() if value.is_floating_point() else value
+        except (AttributeError, RuntimeError, TypeError, NotImplementedError):
+            return None
+    return value if isinstance(value, np.ndarray) and value.dtype.kind == "f" else None
+
+
+def weights_file(network: FastNetwork, config: Config) -> bytes:
+    """The bytes of a file (.npz) with a network and the config it was trained under."""
     buffer = io.BytesIO()
-    torch.save({"weights": network.state_dict(), "config": config.to_json()}, buffer)
+    np.savez(buffer, config=config.to_json(), **network.state_dict())
     return buffer.getvalue()
 
 
-def save_weights(network: ValueNetwork, config: Config, path: Path) -> str:
-    """Write a network and the config it was trained under to a file of their own; returns its SHA-256."""
+def save_weights(network: FastNetwork, config: Config, path: Path) -> str:
+    """Write a network and the config it was trained under to a file of their own (.npz); returns its SHA-256."""
     return write_atomically(path, weights_file(network, config))
 
 
-def load_weights(path: Path) -> tuple[ValueNetwork, Config]:
+def export_weights(network: FastNetwork, path: Path) -> str:
+    """Write a network as a checkpoint that CrowdNav's SARL loads (.pth, torch's format); returns its SHA-256."""
+    import torch
+
+    buffer = io.BytesIO()
+    torch.save({name: torch.from_numpy(value) for name, value in network.state_dict().items()}, buffer)
+    return write_atomically(Path(path), buffer.getvalue(), checked=False)
+
+
+def load_weights(path: Path) -> tuple[FastNetwork, Config]:
     """The network and config of a weights file; for a CrowdNav checkpoint, CrowdNav's reward under the paper's preset.
 
     A file listed in its folder's SHA256SUMS is held to it. Raises DamagedFile, or ConfigError where there is no such
     network in the file.
     """
     path = Path(path)
-    content = read_foreign(read_listed(path), path)
+    content = read_content(read_listed(path), path)
     if not isinstance(content, dict) or not {"weights", "config"} <= set(content):
         network = network_from(content, str(path))
         return network, Config(preset="paper", forces=network.forces)
@@ -126,12 +139,24 @@ def load_weights(path: Path) -> tuple[ValueNetwork, Config]:
         config = Config.from_json(content["config"])
     except ConfigError as error:
         raise ConfigError(f"the config in {path} cannot be used: {error}") from error
-    # A processor without bfloat16 only has to imitate it, which is slow: it plays in float32 what others trained.
-    precision = "auto" if config.precision == "bf16" else config.precision
-    network = network_from(content["weights"], str(path), config.value_prior, precision)
+    network = network_from(content["weights"], str(path), config.value_prior)
     if network.forces != config.forces:
         raise ConfigError(f"the config in {path} cannot be used: its network reads other columns than it says")
     return network, config
+
+
+def read_content(data: bytes, path: Path) -> Any:
+    """What is in the bytes of a weights file: {"weights": ..., "config": ...} of sfmrl's, or what torch finds in it."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            own = "config.npy" in archive.namelist()
+        if own:
+            with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+                weights = {name: arrays[name] for name in arrays.files if name != "config"}
+                return {"weights": weights, "config": str(arrays["config"])}
+    except Exception:  # whatever the bytes lead the readers to
+        pass
+    return read_foreign(data, path)
 
 
 def read_foreign(data: bytes, path: Path) -> Any:
@@ -141,6 +166,8 @@ def read_foreign(data: bytes, path: Path) -> Any:
     for beginning, what in NO_WEIGHTS.items():
         if data[:200].lstrip().lower().startswith(beginning):
             raise ConfigError(f"{path} {what}")
+    import torch  # takes seconds: only for files in its format
+
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -149,7 +176,7 @@ def read_foreign(data: bytes, path: Path) -> Any:
         if "Unsupported global" in str(error) or "Unsupported class" in str(error):
             said = "holds Python objects, which could run code; save no more than its state_dict()"
         else:
-            said = "is not a weights file that torch can load safely; name a run folder, or its weights.pt"
+            said = "is not a weights file that can be read safely; name a run folder, or its weights.npz"
         raise ConfigError(f"{path} {said}") from error
 
 

@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,11 +26,12 @@ from sfmrl.crowd import CROWDS
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.evaluation import evaluation_record
 from sfmrl.exploration import Explorer, remember
+from sfmrl.fast import as_fast, kernels
 from sfmrl.imitation import demonstrate, fill_memory, fit_memory, imitate, make_memory, new_fit
 from sfmrl.learner import Learner
-from sfmrl.learning import OPTIMIZERS, learn, torch_threads
+from sfmrl.learning import OPTIMIZERS, learn
 from sfmrl.lookahead import SarlPolicy, available_cores
-from sfmrl.network import ValueNetwork, resolved
+from sfmrl.network import ValueNetwork
 from sfmrl.placement import BARRIER
 from sfmrl.planner import plan
 from sfmrl.policies import orca_policy
@@ -48,8 +50,8 @@ CORES = available_cores()
 
 def main() -> None:
     """Print the sections that are named on the command line, or all."""
-    versions = f"numpy {np.__version__}, torch {torch.__version__}"
-    console.print(f"{platform.machine()} {torch.backends.cpu.get_cpu_capability()}, {CORES} cores, {versions}")
+    versions = f"numpy {np.__version__} with OpenBLAS's {kernels()} kernels, torch {torch.__version__}"
+    console.print(f"{platform.machine()}, {CORES} cores, {versions}")
     torch.set_num_threads(1)
     sections = (simulator, scaling, network, episodes_of_training, evaluation, training)
     names = {section.__name__.partition("_")[0]: section for section in sections}
@@ -163,25 +165,49 @@ def rvo2_microseconds(record: Record, moments: int = 2000) -> float:
 
 
 def network() -> None:
-    """Batches a second and microseconds a state, beside what the floating-point operations would take at GEMM peak."""
+    """Batches a second and microseconds a state: at the peak of matrix products, and by torch from the definition."""
+    peak = gemm_peak()
     console.print(
-        "\n[bold]network[/bold], 10 elements, 13 columns; limit: its operations at the peak of matrix products"
+        "\n[bold]network[/bold], 10 elements, 13 columns, one core; limit: its operations at the peak of matrix "
+        f"products, {peak / 1e9:.0f} GFLOP/s; torch: by autograd"
     )
-    for precision in precisions():
-        for threads in sorted({1, CORES}):
-            peak = gemm_peak(precision, threads)
-            console.print(f"{precision}, {threads} threads: matrix products at {peak / 1e9:.0f} GFLOP/s")
-            for size in (100, 200):
-                seconds, limit = batch_seconds(precision, threads, size), size * 3 * flops() / peak
-                took = f"{seconds * 1e3:.2f} ms, {1 / seconds:.0f} a second"
-                console.print(
-                    f"  a batch of {size}: {took}; limit {limit * 1e3:.2f} ms, {limit / seconds:.0%} of the time"
-                )
-            seconds, limit = lookahead_seconds(precision, threads), flops() / peak
-            took = f"{seconds * 1e6:.2f} us"
-            console.print(
-                f"  lookahead, a state: {took}; limit {limit * 1e6:.2f} us, {limit / seconds:.0%} of the time"
-            )
+    module, rng = ValueNetwork(), np.random.default_rng(0)
+    fast = as_fast(module)
+    for size in (100, 200):
+        states, values = rng.normal(size=(size, 10, 13)).astype(np.float32), rng.random(size, dtype=np.float32)
+        optimizer = OPTIMIZERS["sgd"](fast)
+        ours = fastest(partial(repeat_20, learn, fast, optimizer, 1e-3, states, values), 10) / 20
+        tensors, plain = (torch.from_numpy(states), torch.from_numpy(values)), torch.optim.SGD(module.parameters())
+        theirs = fastest(partial(repeat_20, torch_step, module, plain, *tensors), 10) / 20
+        console.print(
+            f"  a batch of {size}: {ours * 1e3:.2f} ms, {1 / ours:.0f} a second; limit "
+            f"{size * 3 * flops() / peak * 1e3:.2f} ms; torch {theirs * 1e3:.2f} ms"
+        )
+    states = rng.normal(size=(4, 81, 10, 13)).astype(np.float32)
+    ours = fastest(lambda: [fast.evaluate(states) for _ in range(10)], 10) / (10 * 4 * 81)
+    with torch.inference_mode():
+        tensor = torch.from_numpy(states.reshape(-1, 10, 13))
+        theirs = fastest(lambda: [module(tensor) for _ in range(10)], 10) / (10 * 4 * 81)
+    console.print(
+        f"  a state's value: {ours * 1e6:.2f} us; limit {flops() / peak * 1e6:.2f} us; torch {theirs * 1e6:.2f} us"
+    )
+    for threads in sorted({1, CORES}):
+        console.print(f"  lookahead, a state, {threads} threads: {lookahead_seconds(threads) * 1e6:.2f} us")
+
+
+def repeat_20(work: Callable[..., object], *given: object) -> None:
+    """Do the same twenty times."""
+    for _ in range(20):
+        work(*given)
+
+
+def torch_step(
+    module: ValueNetwork, optimizer: torch.optim.Optimizer, states: torch.Tensor, values: torch.Tensor
+) -> None:
+    """A step of descent by torch, from the definition."""
+    optimizer.zero_grad()
+    torch.nn.functional.mse_loss(module(states), values).backward()
+    optimizer.step()
 
 
 def flops(elements: int = 10) -> float:
@@ -193,39 +219,20 @@ def flops(elements: int = 10) -> float:
     return 2.0 * (state + elements * element)
 
 
-def precisions() -> list[str]:
-    """fp32, and bf16 where the processor has it."""
-    return sorted({"fp32", resolved("auto")}, reverse=True)
+def gemm_peak() -> float:
+    """Floating-point operations a second of a large matrix product, on one core."""
+    a = np.random.default_rng(0).random((2048, 2048), dtype=np.float32)
+    return 2 * 2048**3 / fastest(lambda: a @ a, 10)
 
 
-def gemm_peak(precision: str, threads: int) -> float:
-    """Floating-point operations a second of a large matrix product."""
-    kind = torch.bfloat16 if precision == "bf16" else torch.float32
-    a = torch.rand(2048, 2048).to(kind)
-    torch.set_num_threads(threads)
-    seconds = fastest(lambda: a @ a, 10)
-    torch.set_num_threads(1)
-    return 2 * 2048**3 / seconds
-
-
-def batch_seconds(precision: str, threads: int, size: int) -> float:
-    """Seconds of a step of SGD on a batch."""
-    model, rng = ValueNetwork(precision=precision), np.random.default_rng(0)
-    states = torch.from_numpy(rng.normal(size=(size, 10, 13)).astype(np.float32))
-    values = torch.from_numpy(rng.random(size, dtype=np.float32))
-    optimizer = OPTIMIZERS["sgd"](model)
-    with torch_threads(threads):
-        return fastest(lambda: [learn(model, optimizer, 1e-3, states, values) for _ in range(20)], 10) / 20
-
-
-def lookahead_seconds(precision: str, threads: int) -> float:
+def lookahead_seconds(threads: int) -> float:
     """Seconds a state of weighing up all actions in 32 episodes, all but the crowd's own step included."""
     world = crowd.reset(sample_scenes("circle", 32))
     for _ in range(8):
         moves = crowd.crowd_velocities(world)
         world = crowd.advance(world, moves, moves[:, 0])
     moves = crowd.crowd_velocities(world)
-    policy = SarlPolicy(ValueNetwork(precision=precision), make_config("paper"), threads)
+    policy = SarlPolicy(ValueNetwork(), make_config("paper"), threads)
     return fastest(lambda: policy.lookahead(world, moves), 10) / (32 * len(ACTIONS))
 
 
@@ -233,56 +240,50 @@ def episodes_of_training() -> None:
     """Seconds of an RL episode, with a network that imitation has taught."""
     console.print("\n[bold]episodes[/bold] of reinforcement: playing one, and the batches that follow it")
     circle = {"reinforcement": {"environment": "circle"}}
-    for precision in precisions():
-        for preset, parallel in (("paper", 1), ("paper", 10), ("quick", 32)):
-            config = make_config(preset, precision=precision)
-            if preset == "paper":
-                config = make_config(preset, precision=precision, **circle, imitation={"episodes": 300, "epochs": 6})
-            settings = config.reinforcement
-            learner, aside = taught(config), settings.overlap and CORES > 1
-            with Explorer(config, CORES - aside, aside) as explorer:
-                ahead = explorer.start(learner.actor, range(parallel))
-                times, steps = [], 0
-                for number in range(1, 5 if parallel > 1 else 21):
-                    start = time.perf_counter()
-                    record, random_steps = ahead()
-                    remember(learner, record, random_steps)
-                    learner.renew_actor()
-                    ahead = explorer.start(learner.actor, range(number * parallel, (number + 1) * parallel))
-                    with torch_threads(1 if aside else CORES):
-                        learner.learn(parallel * settings.batches)
-                    times.append((time.perf_counter() - start) / parallel)
-                    steps += record.steps.sum() / parallel
-                ahead()
-            # The first round is not counted: with overlap, nothing has been played ahead of it.
-            console.print(
-                f"{preset} preset, {precision}, {parallel} side by side, {settings.batches} batches of "
-                f"{settings.batch_size}: {np.mean(times[1:]) * 1e3:.0f} ms an episode of {steps / len(times):.0f} steps"
-            )
+    for preset, parallel in (("paper", 1), ("paper", 10), ("quick", 32)):
+        config = make_config(preset)
+        if preset == "paper":
+            config = make_config(preset, **circle, imitation={"episodes": 300, "epochs": 6})
+        settings = config.reinforcement
+        learner, aside = taught(config), settings.overlap and CORES > 1
+        with Explorer(config, CORES - aside, aside) as explorer:
+            ahead = explorer.start(learner.actor, range(parallel))
+            times, steps = [], 0
+            for number in range(1, 5 if parallel > 1 else 21):
+                start = time.perf_counter()
+                record, random_steps = ahead()
+                remember(learner, record, random_steps)
+                learner.renew_actor()
+                ahead = explorer.start(learner.actor, range(number * parallel, (number + 1) * parallel))
+                learner.learn(parallel * settings.batches)
+                times.append((time.perf_counter() - start) / parallel)
+                steps += record.steps.sum() / parallel
+            ahead()
+        # The first round is not counted: with overlap, nothing has been played ahead of it.
+        console.print(
+            f"{preset} preset, {parallel} side by side, {settings.batches} batches of "
+            f"{settings.batch_size}: {np.mean(times[1:]) * 1e3:.0f} ms an episode of {steps / len(times):.0f} steps"
+        )
 
 
 def taught(config: Config) -> Learner:
     """A learner after imitation."""
     memory, fit = make_memory(config), new_fit(config)
     fill_memory(memory, demonstrate(config, no_progress), config)
-    fit_memory(fit, memory, no_progress, lambda row: None, CORES)
+    fit_memory(fit, memory, no_progress, lambda row: None)
     return Learner(fit.network, memory, config)
 
 
 def evaluation() -> None:
     """Test episodes of SARL, taught by imitation."""
     console.print("\n[bold]evaluation[/bold], SARL, 500 test episodes of table 1's mix")
-    for precision in precisions():
-        config = make_config("quick", precision=precision)
-        alone = SarlPolicy(taught(config).network, config, CORES)
-        for title, policy in (("alone", alone), ("with recovery", RecoveringPolicy(alone, config.planner))):
-            start = time.perf_counter()
-            record = evaluation_record(policy)
-            took, steps = time.perf_counter() - start, record.steps.sum()
-            console.print(
-                f"{precision}, {title}: {took:.1f} s, {steps / 500:.0f} steps an episode, "
-                f"{took / steps * 1e3:.2f} ms a step"
-            )
+    config = make_config("quick")
+    alone = SarlPolicy(taught(config).network, config, CORES)
+    for title, policy in (("alone", alone), ("with recovery", RecoveringPolicy(alone, config.planner))):
+        start = time.perf_counter()
+        record = evaluation_record(policy)
+        took, steps = time.perf_counter() - start, record.steps.sum()
+        console.print(f"{title}: {took:.1f} s, {steps / 500:.0f} steps an episode, {took / steps * 1e3:.2f} ms a step")
     planning = fastest(lambda: plan(record.scenes, config.planner))
     console.print(f"ways around squares: {planning * 2:.2f} ms an episode, {planning / took:.1%} of playing it")
 
@@ -302,7 +303,7 @@ def training() -> None:
         start = time.perf_counter()
         il = create_run("il", make_config(), Path(folder) / "il")
         with StopSignal() as stop:
-            imitate(il, clock, stop, threads=CORES)
+            imitate(il, clock, stop)
             taught_after = time.perf_counter() - start
             spent_before, spent = spent, {}
             rl = start_run(make_config(variant="sarl-sfm2"), il.folder, False, Path(folder) / "rl")
@@ -316,7 +317,7 @@ def training() -> None:
     batches = settings.episodes * settings.batches * settings.batch_size * 3 * flops()
     console.print(
         f"in all {whole:.1f} s, success {result['success']:.3f}; learning is {batches / 1e12:.1f} TFLOP, "
-        f"{batches / gemm_peak(rl.config.precision, 1):.1f} s of one core at the peak of matrix products"
+        f"{batches / gemm_peak():.1f} s of one core at the peak of matrix products"
     )
 
 

@@ -42,7 +42,7 @@ def figures(policy: Any, environment: str, episodes: int) -> tuple[dict[str, Any
 
 def write_card(card: dict[str, Any], episodes: int) -> None:
     """Test a model alone and with recovery, and write its card."""
-    policy = load_policy(FOLDER / f"{card['name']}.pt")
+    policy = load_policy(FOLDER / f"{card['name']}.npz")
     helped, outcomes = figures(policy, card["environment"], episodes)
     alone, _ = figures(policy.original, card["environment"], episodes)
     card = card | {"bits": machine_bits(), "alone": alone, "with_recovery": helped}
@@ -57,7 +57,7 @@ def make_model(name: str, number: int, row: str, tested: Trained, folder: Path) 
     run = open_run(run_folder(folder, number, PRESET, row, seed))
     network, config = load_weights(run.folder / WEIGHTS)
     config = replace(config, planner=replace(config.planner, recover=True))  # at play; no training sees it
-    digest = save_weights(network, config, FOLDER / f"{name}.pt")
+    digest = save_weights(network, config, FOLDER / f"{name}.npz")
     (FOLDER / "SHA256SUMS").unlink()  # the card has it
     card = {
         "name": name,
@@ -68,8 +68,7 @@ def make_model(name: str, number: int, row: str, tested: Trained, folder: Path) 
         "commands": [job.command for job in make_jobs(number, PRESET, [seed], [row], Path("runs/tables"))],
         "trained": run.facts["created"][:10],
         "versions": {key: value for key, value in run.facts["versions"].items() if key != "system"},
-        "precision": config.precision,
-        "parameters": sum(p.numel() for p in network.parameters()),
+        "parameters": len(network.flat),
         "sha256": digest,
         "environment": table.environment,
     }

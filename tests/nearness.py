@@ -24,7 +24,9 @@ def near(shown: str, printed: str) -> bool:
     words = [[re.sub(r"[ ─━═]+", "", VALUE.sub("\0", line)) for line in lines] for lines in (one, other)]
     blocks = SequenceMatcher(None, *words, autojunk=False).get_matching_blocks()
     pairs = [(one[i + k], other[j + k]) for i, j, count in blocks for k in range(count)]
-    return len(pairs) >= math.ceil(LINES * max(len(one), len(other))) and all(_near(*pair) for pair in pairs)
+    return len(pairs) >= math.ceil(LINES * max(len(one), len(other))) and all(
+        one == other or _near(one, other) for one, other in pairs
+    )
 
 
 def _lines(text: str) -> list[str]:

@@ -14,16 +14,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from conftest import DATA
 
 from sfmrl.bits import machine_bits
 from sfmrl.config import Simulation
 from sfmrl.episodes import Record, play_episodes, returns_of
+from sfmrl.fast import new_network
 from sfmrl.imitation import imitate
 from sfmrl.learning import OPTIMIZERS, learn
 from sfmrl.lookahead import SarlPolicy
-from sfmrl.network import new_network
 from sfmrl.policies import orca_policy
 from sfmrl.progress import no_progress
 from sfmrl.reinforcement import reinforce, start_run
@@ -52,9 +51,9 @@ def simulated(environment: str, **simulation: object) -> str:
     return digest(record.position, record.velocity)
 
 
-def played(precision: str) -> str:
+def played() -> str:
     """Eight episodes of SARL, with a network that has learnt nothing."""
-    config = make_config("quick", "sarl-sfm2", simulation=SHORT, precision=precision)
+    config = make_config("quick", "sarl-sfm2", simulation=SHORT)
     policy = SarlPolicy(new_network(config, seed=5), config)
     record = play_episodes(sample_scenes("table1", 8), policy, config.reward, config.simulation)
     return digest(record.position, record.reward, policy.network.evaluate(record.states(config.forces))[0])
@@ -69,8 +68,8 @@ def descended(optimizer: str) -> str:
     steps, rng, losses = OPTIMIZERS[optimizer](network), np.random.default_rng(0), []
     for _ in range(40):
         rows = rng.choice(len(states), 100, replace=False)
-        losses.append(learn(network, steps, 1e-3, torch.from_numpy(states[rows]), torch.from_numpy(values[rows])))
-    return digest(np.array(losses), parameters(network))
+        losses.append(learn(network, steps, 1e-3, states[rows], values[rows]))
+    return digest(np.array(losses), network.flat)
 
 
 def trained(targets: str) -> str:
@@ -86,11 +85,7 @@ def trained(targets: str) -> str:
         imitate(create_run("il", config, source), no_progress, StopSignal())
         reinforce(start_run(config, source, False, run), no_progress, StopSignal(), lambda text: None)
         rows = (run / "metrics.csv").read_bytes()
-        return digest(parameters(load_weights(run / "weights.pt")[0]), np.frombuffer(rows, np.uint8))
-
-
-def parameters(network: torch.nn.Module) -> np.ndarray:
-    return np.concatenate([tensor.detach().numpy().ravel() for tensor in network.state_dict().values()])
+        return digest(load_weights(run / "weights.npz")[0].flat, np.frombuffer(rows, np.uint8))
 
 
 EVERYWHERE: dict[str, Callable[[], str]] = {
@@ -100,8 +95,7 @@ EVERYWHERE: dict[str, Callable[[], str]] = {
 }
 HERE: dict[str, Callable[[], str]] = {
     "social forces": partial(simulated, "circle", crowd="sfm"),
-    "SARL in float32": partial(played, "fp32"),
-    "SARL in auto": partial(played, "auto"),
+    "SARL": played,
     "Adam": partial(descended, "adam"),
     "SGD": partial(descended, "sgd"),
     "td": partial(trained, "td"),
@@ -126,18 +120,7 @@ def test_network_and_training_have_the_bits_that_were_stored(what, stored):
     assert HERE[what]() == stored[what]
 
 
-def test_the_machine_s_bits_do_not_depend_on_threads_and_leave_their_number_as_it_is():
-    before, found = torch.get_num_threads(), set()
-    for threads in (1, 2):
-        torch.set_num_threads(threads)
-        found.add(machine_bits.__wrapped__())
-        assert torch.get_num_threads() == threads
-    torch.set_num_threads(before)
-    assert found == {machine_bits()}
-
-
 if __name__ == "__main__":
-    torch.set_num_threads(1)
     found = {"machine": machine_bits()} | {what: compute() for what, compute in (EVERYWHERE | HERE).items()}
     text = json.dumps(found, indent=2) + "\n"
     if "--store" in sys.argv:

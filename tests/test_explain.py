@@ -58,7 +58,7 @@ def test_the_other_rewards_pay_what_the_same_episode_played_under_them_does():
 
 def test_a_step_s_numbers_are_those_of_the_record_and_of_the_network():
     config = make_config("quick", "sarl-sfm2")
-    policy = SarlPolicy(ValueNetwork(value_prior=True, seed=3, precision="fp32"), config)
+    policy = SarlPolicy(ValueNetwork(value_prior=True, seed=3), config)
     record = play_episodes(sample_scenes("2", 2), policy, config.reward, config.simulation)
     explained = explain_episode(record, 1, policy, config.reward, config.discount)
     assert len(explained.steps) == record.steps[1]

@@ -10,14 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from conftest import environment
 
 from sfmrl.exploration import Explored, Explorer
-from sfmrl.network import ValueNetwork, new_network
+from sfmrl.fast import FastNetwork, new_network
 from sfmrl.variants import make_config
 
-CONFIG = make_config("quick", simulation={"time_limit": 6.0}, reinforcement={"environment": "1"}, precision="fp32")
+CONFIG = make_config("quick", simulation={"time_limit": 6.0}, reinforcement={"environment": "1"})
 
 
 def assert_same(one: Explored, other: Explored) -> None:
@@ -26,7 +25,7 @@ def assert_same(one: Explored, other: Explored) -> None:
 
 
 @pytest.fixture
-def actor() -> ValueNetwork:
+def actor() -> FastNetwork:
     return new_network(CONFIG, seed=5)
 
 
@@ -39,8 +38,7 @@ def aside() -> Iterator[Explorer]:
 def test_episodes_played_aside_are_those_played_here(actor, aside):
     with Explorer(CONFIG, threads=2, aside=False) as here:
         assert_same(aside.start(actor, range(4))(), here.start(actor, range(4))())
-        with torch.no_grad():
-            actor.flat += 0.01
+        actor.flat += 0.01
         assert_same(aside.start(actor, range(4, 6))(), here.start(actor, range(4, 6))())
 
 
@@ -63,13 +61,13 @@ def test_the_work_of_a_process_that_was_killed_is_done_here(actor, aside, busy):
 
 TRAINING = """
 from sfmrl.exploration import Explorer
-from sfmrl.network import ValueNetwork
+from sfmrl.fast import new_network
 from sfmrl.variants import make_config
 
 if __name__ == "__main__":
     config = make_config("quick")
     explorer = Explorer(config, 1, True)
-    explorer.start(ValueNetwork(), range(1))()
+    explorer.start(new_network(config), range(1))()
     print(*explorer._pool._processes, flush=True)
     input()
 """

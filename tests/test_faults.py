@@ -180,7 +180,7 @@ def ctrl_c_while_saving() -> None:
 @pytest.mark.parametrize(
     ("fault", "code", "said"),
     [
-        (full_disk, 1, "sfmrl: il/checkpoint-000001.pt: File too large; then go on with: sfmrl il --resume il"),
+        (full_disk, 1, "sfmrl: il/checkpoint-000001.npz: File too large; then go on with: sfmrl il --resume il"),
         (ctrl_c_while_saving, 130, "sfmrl: interrupted; go on with: sfmrl il --resume il"),
     ],
 )
@@ -248,7 +248,7 @@ def readers(folder: Path, il: Path, name: str) -> list[Callable[[], Any]]:
     if name == DEMONSTRATIONS:
         found = [lambda: load_demonstrations(il / name, Config().simulation).position.tobytes()]
     elif name not in TABLES:
-        found.append(lambda: load_policy(run).network.flat.numpy().tobytes())
+        found.append(lambda: load_policy(run).network.flat.tobytes())
     return found
 
 
@@ -268,7 +268,7 @@ def laid_out(place, tmp_path_factory) -> tuple[Path, Path]:
     return folder, Path(shutil.copytree(place / "il", folder / "il"))
 
 
-FILES = ["config.json", "run.json", "map.txt", "weights.pt", "best.pt", *TABLES, SUMS, DEMONSTRATIONS]
+FILES = ["config.json", "run.json", "map.txt", "weights.npz", "best.npz", *TABLES, SUMS, DEMONSTRATIONS]
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -1,7 +1,7 @@
 """The SARL network against CrowdNav's, what must not matter to its value, and files that are good, foreign or evil."""
 
-import copy
 import io
+import json
 import os
 import pickle
 import re
@@ -17,12 +17,13 @@ from torch import nn
 
 from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import evaluation_record, metrics
+from sfmrl.fast import Sizes, as_fast
 from sfmrl.files import DamagedFile
-from sfmrl.network import Sizes, ValueNetwork, linear_relu, new_network
+from sfmrl.network import ValueNetwork
 from sfmrl.policies import load_policy
 from sfmrl.states import OWN, column_names
 from sfmrl.variants import make_config
-from sfmrl.weights import load_weights, other_habits, save_weights
+from sfmrl.weights import export_weights, load_weights, other_habits, save_weights
 
 
 @pytest.fixture(scope="module")
@@ -154,74 +155,34 @@ def test_without_any_row_for_elements_there_is_a_value_too():
     assert attention.shape == (3, 0)
 
 
-@pytest.mark.parametrize("precision", ["fp32", "bf16"])
-@pytest.mark.parametrize(("forces", "elements"), [(False, 1), (False, 10), (True, 4)])
-def test_a_state_s_value_has_the_same_bits_whatever_shares_its_batch(forces, elements, precision):
-    network = ValueNetwork(forces, value_prior=True, precision=precision)
-    states = random_states(700, elements, forces)
-    states[..., 0] = np.random.default_rng(1).uniform(0, 9, (700, 1))  # goal distances, in metres
-    values = network.evaluate(states)[0]
-    wanted = [(size, first) for size in (1, 2, 3, 7, 8, 31, 81, 162, 324, 511) for first in (0, 700 - size)]
-    wanted += [(81, first) for first in range(0, 600, 7)]
-    parts = {(size, first): network.evaluate(states[first : first + size])[0] for size, first in wanted}
-    differ = [at for at, part in parts.items() if not np.array_equal(part, values[at[1] : at[1] + at[0]])]
-    assert differ == []  # (size, first state)
-
-
-def test_absent_elements_of_one_state_do_not_change_the_bits_of_another():
-    network = ValueNetwork()
-    states = random_states(40, 10)
-    alone = network.evaluate(states)[0]
-    holes = states.copy()
-    holes[20:, 7:, network.own :] = np.nan
-    np.testing.assert_array_equal(network.evaluate(holes)[0][:20], alone[:20])
-
-
-def test_parameters_stay_parts_of_one_tensor_and_copies_have_their_own():
-    network = ValueNetwork(value_prior=True, seed=2, precision="bf16")
-    states = random_states(8, 4)
-    before = network.evaluate(states)[0]
-    clone = copy.deepcopy(network)
-    np.testing.assert_array_equal(clone.evaluate(states)[0], before)
-    moved = ValueNetwork(value_prior=True, precision="bf16").to("cpu")
-    moved.load_state_dict(network.state_dict())
-    for one in (clone, moved):
-        one.flat.zero_()
-        assert all(not parameter.any() for parameter in one.parameters())
-        assert (one.precision, one.value_prior) == ("bf16", True)
-    np.testing.assert_array_equal(network.evaluate(states)[0], before)
-
-
-def test_bfloat16_changes_values_by_its_rounding_alone():
-    exact, low = ValueNetwork(forces=True, seed=6), ValueNetwork(forces=True, seed=6, precision="bf16")
-    states = random_states(200, 10, forces=True)
-    states[::4, 7:, exact.own :] = np.nan
-    (value, attention), (low_value, low_attention) = exact.evaluate(states), low.evaluate(states)
-    assert 0 < np.abs(low_value - value).max() < 0.01
-    assert np.abs(low_attention - attention).max() < 0.01
-    assert np.corrcoef(value, low_value)[0, 1] > 0.999
-    with torch.no_grad():  # relu as integers, and without
-        no_grad = low(torch.from_numpy(states)).numpy()
-    np.testing.assert_allclose(low(torch.from_numpy(states)).detach().numpy(), no_grad, atol=1e-6)
-
-
-def test_the_config_s_precision_is_the_network_s():
-    for precision in ("fp32", "bf16"):
-        assert new_network(Config(precision=precision)).precision == precision
-    assert new_network(Config(precision="auto")).precision in ("fp32", "bf16")
-    assert make_config("paper").precision == "fp32"
-    with pytest.raises(ConfigError, match="precision is 'fp16'; choose fp32, bf16, auto"):
-        Config(precision="fp16")
-
-
 def test_a_weights_file_gives_back_network_and_config(tmp_path):
     config = make_config("paper", "sarl-sfm6", seed=9)
     network = ValueNetwork(config.forces, config.value_prior, seed=9)
-    save_weights(network, config, tmp_path / "weights.pt")
-    loaded, read = load_weights(tmp_path / "weights.pt")
+    save_weights(network, config, tmp_path / "weights.npz")
+    loaded, read = load_weights(tmp_path / "weights.npz")
     assert read == config
     states = random_states(5, 4, forces=True)
     np.testing.assert_array_equal(loaded.evaluate(states)[0], network.evaluate(states)[0])
+
+
+def test_a_weights_file_of_an_older_version_is_read(tmp_path):
+    """Those were torch's; settings that are gone are passed over where they changed nothing that is played."""
+    older = json.dumps(json.loads(make_config("paper").to_json()) | {"precision": "bf16", "shaping": "none"})
+    network = ValueNetwork(seed=4)
+    torch.save({"weights": network.state_dict(), "config": older}, tmp_path / "weights.pt")
+    for named in (tmp_path, tmp_path / "weights.pt"):
+        policy = load_policy(named)
+        assert policy.config == make_config("paper")
+        np.testing.assert_array_equal(policy.network.flat, as_fast(network).flat)
+
+
+def test_an_exported_network_is_a_checkpoint_that_torch_and_sfmrl_load(tmp_path):
+    network = as_fast(ValueNetwork(forces=True, seed=6))
+    export_weights(network, tmp_path / "rl_model.pth")
+    module = ValueNetwork(forces=True)
+    module.load_state_dict(torch.load(tmp_path / "rl_model.pth", weights_only=True))
+    np.testing.assert_array_equal(as_fast(module).flat, network.flat)
+    np.testing.assert_array_equal(load_weights(tmp_path / "rl_model.pth")[0].flat, network.flat)
 
 
 def test_a_plain_crowdnav_checkpoint_is_a_policy(tmp_path, crowdnav_weights):
@@ -269,7 +230,7 @@ def test_a_network_of_any_size_is_read_however_it_is_wrapped(tmp_path, how):
     torch.save(WRAPPED[how], tmp_path / "some.pth")
     network, config = load_weights(tmp_path / "some.pth")
     assert (network.sizes, network.forces, config.forces) == (OTHER_SIZES, False, False)
-    assert all(torch.equal(value, PLAIN[name]) for name, value in network.state_dict().items())
+    assert all(np.array_equal(value, PLAIN[name]) for name, value in network.state_dict().items())
 
 
 def test_crowdnav_s_output_folder_plays_its_network_and_says_what_it_was_trained_for(tmp_path):
@@ -288,6 +249,13 @@ def test_crowdnav_s_output_folder_plays_its_network_and_says_what_it_was_trained
     assert other_habits(path, robot_visible=True) == []
 
 
+def arrays(**content: object) -> bytes:
+    file = io.BytesIO()
+    np.savez(file, **content)
+    return file.getvalue()
+
+
+PARAMETERS = as_fast(ValueNetwork()).state_dict()
 ENDLESS = {}
 ENDLESS["state_dict"] = ENDLESS
 GOOD = {"weights": ValueNetwork().state_dict(), "config": Config().to_json()}
@@ -307,6 +275,12 @@ FOREIGN = {
     "a config that is no text": saved(GOOD | {"config": 5}),
     "a config that is a list": saved(GOOD | {"config": "[1]"}),
     "a config with an unknown setting": saved(GOOD | {"config": '{"sede": 1}'}),
+    "arrays of another kind": arrays(position=np.zeros(3)),
+    "arrays without a layer": arrays(config=Config().to_json(), **{"mlp1.0.weight": np.zeros((150, 13))}),
+    "arrays cut in half": (whole := arrays(config=Config().to_json(), **PARAMETERS))[: len(whole) // 2],
+    "arrays with Python objects": arrays(config=np.array([{}], dtype=object), **PARAMETERS),
+    "arrays that are not finite": arrays(config=Config().to_json(), **PARAMETERS | {"mlp3.6.bias": np.full(1, np.nan)}),
+    "arrays with a config of another width": arrays(config=Config(forces=True).to_json(), **PARAMETERS),
 }
 
 
@@ -382,11 +356,11 @@ def test_a_pipe_is_no_weights_file_and_is_not_waited_for(tmp_path):
 
 
 def test_a_network_too_large_to_have_finite_values_is_not_played(tmp_path):
-    network = ValueNetwork()
-    network.flat.mul_(1e30)
-    save_weights(network, Config(), tmp_path / "weights.pt")
+    network = as_fast(ValueNetwork())
+    network.flat *= 1e30
+    save_weights(network, Config(), tmp_path / "weights.npz")
     with pytest.raises(ConfigError, match="values are not finite"):
-        evaluation_record(load_policy(tmp_path / "weights.pt"), environment="5", episodes=1)
+        evaluation_record(load_policy(tmp_path / "weights.npz"), environment="5", episodes=1)
 
 
 @pytest.mark.filterwarnings("ignore:Detected pickle protocol")
@@ -401,7 +375,7 @@ def test_a_file_that_would_run_code_is_refused_and_does_not_run(tmp_path, write)
 
 
 def test_a_weights_file_that_differs_from_its_digest_is_damaged(tmp_path):
-    path = tmp_path / "weights.pt"
+    path = tmp_path / "weights.npz"
     save_weights(ValueNetwork(), Config(), path)
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
@@ -410,12 +384,3 @@ def test_a_weights_file_that_differs_from_its_digest_is_damaged(tmp_path):
         load_policy(path)
     with pytest.raises(DamagedFile, match=re.escape(str(path))):
         load_policy(tmp_path)
-
-
-@pytest.mark.parametrize("rows", [1, 7, 80, 1000, 3241])
-def test_a_layer_in_one_pass_has_the_bits_of_three(rows):
-    generator = torch.Generator().manual_seed(rows)
-    x, weight, bias = (torch.randn(*s, generator=generator).bfloat16() for s in ((rows, 150), (100, 150), (100,)))
-    with torch.inference_mode():
-        expected = torch.nn.functional.linear(x, weight, bias).relu()
-        assert torch.equal(linear_relu(x, weight, bias), expected)

@@ -53,7 +53,7 @@ def write_run(folder: Path, success: float, seed: int, first: int = 0) -> None:
     """A finished run's files, as far as a table reads them."""
     run, folder = trained([success], 50), Path(folder)
     folder.mkdir(parents=True)
-    (folder / "weights.pt").touch()
+    (folder / "weights.npz").touch()
     (folder / "result.json").write_text(json.dumps({"best_validation": {"success": success, "episode": 500}}))
     columns = {name: getattr(run, name)[0].tolist() for name in ("outcome", "hit", "time", "total_reward")}
     rows = [dict(zip(columns, line, strict=True)) for line in zip(*columns.values(), strict=True)]

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import RATES
@@ -101,9 +100,12 @@ def flip(path: Path) -> None:
 
 
 TAMPERED = {
-    "a bit of the weights": (lambda run: flip(run / "weights.pt"), {"SHA256SUMS", "weights.pt", "replay", "recovery"}),
+    "a bit of the weights": (
+        lambda run: flip(run / "weights.npz"),
+        {"SHA256SUMS", "weights.npz", "replay", "recovery"},
+    ),
     "a bit of the config": (lambda run: flip(run / "config.json"), {"SHA256SUMS", "run.json"}),
-    "no weights": (lambda run: (run / "weights.pt").unlink(), {"SHA256SUMS", "training", "weights.pt", "replay"}),
+    "no weights": (lambda run: (run / "weights.npz").unlink(), {"SHA256SUMS", "training", "weights.npz", "replay"}),
     "no tests": (lambda run: (run / "test.csv").write_text(""), {"SHA256SUMS", "result.json", "replay"}),
     "a lost table": (lambda run: (run / "validation.csv").unlink(), {"SHA256SUMS"}),
     "a table that is lost and not listed": (lambda run: remove_checked([run / "metrics.csv"]), {"tables"}),
@@ -152,18 +154,18 @@ def test_tables_and_digests_forged_together_are_found_out_by_playing_again(copy)
 
 def test_other_weights_than_those_of_the_test_are_found_out_by_playing_again(copy):
     run = copy / "rl"
-    _, config = load_weights(run / "weights.pt")
-    save_weights(ValueNetwork(value_prior=True, seed=9, precision=config.precision), config, run / "weights.pt")
+    _, config = load_weights(run / "weights.npz")
+    save_weights(ValueNetwork(value_prior=True, seed=9), config, run / "weights.npz")
     assert "replay" in wrong(run)
-    save_weights(ValueNetwork(value_prior=True), Config(), run / "weights.pt")
-    assert "weights.pt" in wrong(run)
+    save_weights(ValueNetwork(value_prior=True), Config(), run / "weights.npz")
+    assert "weights.npz" in wrong(run)
 
 
 def test_demonstrations_that_orca_did_not_give_are_found_out(copy):
     run = copy / "il"
     rewrite(run / "config.json", lambda text: text.replace('"seed": 0', '"seed": 1'))
     forge_sums(run)
-    assert wrong(run) == {"weights.pt", "demonstrations"}
+    assert wrong(run) == {"weights.npz", "demonstrations"}
 
 
 def test_a_reward_in_a_python_file_is_run_only_if_trusted_and_unchanged(copy, tmp_path):
@@ -204,7 +206,7 @@ def remade(run: Path, change: Callable[[dict], object]) -> dict[str, Finding]:
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        (lambda made: made.update(bits="0123456789ab", torch="1.0"), f"torch 1.0, here {torch.__version__}"),
+        (lambda made: made.update(bits="0123456789ab", numpy="1.0"), f"numpy 1.0, here {np.__version__}"),
         (lambda made: made.pop("bits"), "bits unknown, here "),
         (lambda made: made.update(sfmrl="0.0.1"), "sfmrl 0.0.1, here "),
     ],
@@ -218,7 +220,7 @@ def test_a_run_from_a_machine_of_other_bits_is_told_and_allowed_for(copy, change
 
 
 def test_equal_bits_make_the_numbers_equal_whatever_the_versions(copy):
-    found = remade(copy / "rl", lambda made: made.update(torch="1.0", processor="another"))
+    found = remade(copy / "rl", lambda made: made.update(numpy="1.0", processor="another"))
     assert found["versions"].agrees is True
 
 
@@ -237,7 +239,7 @@ def test_where_bits_differ_outcomes_and_times_are_held_to_a_tolerance():
     ("bad", "tolerance", "right"), [(0, 0, True), (1, 0, False), (2, 0.05, True), (3, 0.05, False)]
 )
 def test_the_tolerance_is_a_share_of_the_episodes(bad, tolerance, right):
-    differ = torch.arange(40).numpy() < bad
+    differ = np.arange(40) < bad
     replay = Replay(40, tolerance, 1, no_progress)
     if right:
         assert "40" in replay._judged(differ, False, "episodes")

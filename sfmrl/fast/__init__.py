@@ -1,0 +1,18 @@
+"""The network in NumPy, fast: what plays and learns. `sfmrl.network` defines it; OpenBLAS is set to one thread."""
+
+from typing import Any
+
+from sfmrl.config import Config
+from sfmrl.fast.blas import kernels as kernels
+from sfmrl.fast.layers import Sizes, drawn_parameters
+from sfmrl.fast.network import FastNetwork
+
+
+def new_network(config: Config, seed: int = 0, sizes: Sizes = Sizes()) -> FastNetwork:
+    """The network that a config asks for, drawn from `seed`."""
+    return FastNetwork(drawn_parameters(config.forces, seed, sizes), config.value_prior)
+
+
+def as_fast(network: Any) -> FastNetwork:
+    """The network itself, or for a `ValueNetwork` the same in NumPy, with a copy of its parameters."""
+    return network if isinstance(network, FastNetwork) else FastNetwork(network.state_dict(), network.value_prior)
