@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from sfmrl.bits import machine_bits
 from sfmrl.config import Config, ConfigError, Reinforcement
 from sfmrl.episodes import Record
 from sfmrl.evaluation import episode_rows, evaluation_record, metrics
@@ -90,7 +91,7 @@ def reinforce(
             record = play("test", settings.test_episodes, SarlPolicy(network, config, threads))
         run.write_table("test-best.csv", episode_rows(record))
         result["best_validation"] = {"episode": best["episode"]} | metrics(record)
-    run.write_json("result.json", result)
+    run.write_json("result.json", result | {"bits": machine_bits()})  # a training may end on another machine
     run.finish(learner.tested)
     return result
 

@@ -65,7 +65,7 @@ class Replay:
         count, whole = len(record.steps), run.config.reinforcement.test_episodes
         what = f"of {counted(whole, 'test episode')}, played by {weights} alone,"
         if not (run.folder / name).exists():
-            return self._against_failures(record, _result(run), whole, what)
+            return self._against_failures(record, result_of(run), whole, what)
         kept = read_table(run.folder / name)[:count]
         again = [{key: str(value) for key, value in row.items()} for row in episode_rows(record)]
         outcome, steps = (np.array([row[key] for row in kept]) for key in ("outcome", "steps"))
@@ -77,7 +77,7 @@ class Replay:
         record = self._play(run, with_recovery(self._policy(run, WEIGHTS), run.config.planner))
         whole = run.config.reinforcement.test_episodes
         what = f"of {counted(whole, 'test episode')}"
-        return self._against_failures(record, _result(run)["with_recovery"], whole, what)
+        return self._against_failures(record, result_of(run)["with_recovery"], whole, what)
 
     def _policy(self, run: Run, weights: str) -> SarlPolicy:
         network, _ = load_weights(run.folder / weights)
@@ -123,7 +123,7 @@ class Replay:
 
 def result(run: Run) -> str:
     """The rates in result.json, held to the outcomes in its tables and in its lists of failures."""
-    found, whole = _result(run), run.config.reinforcement.test_episodes
+    found, whole = result_of(run), run.config.reinforcement.test_episodes
     best, recovering = found.get("best_validation"), found.get("with_recovery")
     for part, name in ((found, "test.csv"), (best, "test-best.csv"), (recovering, "")):
         sources = {"its failures": _outcomes(part, whole)} if part else {}
@@ -143,5 +143,6 @@ def _outcomes(part: dict[str, Any], episodes: int) -> list[str]:
     return ends
 
 
-def _result(run: Run) -> dict[str, Any]:
+def result_of(run: Run) -> dict[str, Any]:
+    """What result.json holds."""
     return json_object(read_listed(run.folder / "result.json"))

@@ -67,6 +67,7 @@ def on_run(command: str, run: Any) -> str:
 
 def train(run: Any, work: Callable[..., Any]) -> Any:
     """Do a training's work; raises Interrupted, which says how to go on, when it is asked to stop."""
+    from sfmrl.bits import machine_bits
     from sfmrl.own_code import reward_digest
     from sfmrl.progress import show_progress
     from sfmrl.rewards import reward_terms
@@ -82,6 +83,8 @@ def train(run: Any, work: Callable[..., Any]) -> Any:
             next_step = f"test it with {on_run('eval', run)}, or begin another run"
             raise ConfigError(f"{run.folder} is finished; there is nothing to go on with: {next_step}")
         say(f"run folder {run.folder}")
+        if run.facts["versions"].get("bits", machine_bits()) != machine_bits():
+            say("the run began where other bits are computed: it will not end in those of an uninterrupted training")
         try:
             return work(show_progress(err), stop)
         except (Interrupted, KeyboardInterrupt):

@@ -194,11 +194,15 @@ def test_a_reward_in_a_python_file_is_run_only_if_trusted_and_unchanged(copy, tm
     assert not mark.exists()
 
 
-def remade(run: Path, change: Callable[[dict], object]) -> dict[str, Finding]:
-    """Findings on a run whose versions are changed, with digests anew."""
-    facts = json.loads((run / "run.json").read_text())
+def remade(run: Path, change: Callable[[dict], object], tested: bool = True) -> dict[str, Finding]:
+    """Findings on a run whose versions, and `tested` the bits of its test, are changed, with digests anew."""
+    facts, result = (json.loads((run / name).read_text()) for name in ("run.json", "result.json"))
     change(facts["versions"])
+    if tested:
+        del result["bits"]
+        result |= {name: value for name, value in facts["versions"].items() if name == "bits"}
     (run / "run.json").write_text(json.dumps(facts))
+    (run / "result.json").write_text(json.dumps(result))
     forge_sums(run)
     return findings(run)
 
@@ -221,6 +225,11 @@ def test_a_run_from_a_machine_of_other_bits_is_told_and_allowed_for(copy, change
 
 def test_equal_bits_make_the_numbers_equal_whatever_the_versions(copy):
     found = remade(copy / "rl", lambda made: made.update(numpy="1.0", processor="another"))
+    assert found["versions"].agrees is True
+
+
+def test_a_training_that_ended_on_this_machine_is_held_to_its_bits_wherever_it_began(copy):
+    found = remade(copy / "rl", lambda made: made.update(bits="0123456789ab"), tested=False)
     assert found["versions"].agrees is True
 
 
