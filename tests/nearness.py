@@ -13,7 +13,7 @@ LINES, FINE, COARSE = 0.8, 0.05, 0.25
 FEW = {"rate": 0.03, "fraction": 0.002, "count": 3.0}  # differences that are always near
 NUMBER = r"[-+]?\d*\.?\d+"
 BOUNDS = rf"({NUMBER})(?:-| to )({NUMBER})"
-VALUE = re.compile(rf"({NUMBER})(?: *\(?{BOUNDS}\)?)?( s\b)?")
+VALUE = re.compile(rf"(?<![\w.])({NUMBER})(?: +\(?{BOUNDS}\)?)?( s\b)?")  # 0.99 0.95-1.00, .01 (-.02 to .03), 9.5 s
 
 
 def near(shown: str, printed: str) -> bool:

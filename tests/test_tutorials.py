@@ -128,6 +128,8 @@ COMPARED = "sarl .990 .946-.998 .010 10.24\nsarl-sfm2 .010 (-.020 to .030) 1.000
         ("1,0.0351496041", "1,0.0391489298", False),
         ("value 0.38, +0.0007", "value  0.41, -0.0001", True),
         ("value 0.38", "value 0.68", False),
+        ("sarl-sfm2  0.986 to 1.000", "sarl-sfm2  0.986 to 1.000", True),
+        ("sarl-sfm2  0.986", "sarl-sfm3  0.986", False),
         ("value 0.38", "worth 0.38", False),
         (TABLE, TABLE.replace("0.900", "0.880").replace("0.79-0.96", "0.76-0.94").replace("8.39", "8.36"), True),
         (TABLE, TABLE.replace("0.900", "0.700").replace("0.79-0.96", "0.56-0.81"), False),
