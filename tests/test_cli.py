@@ -24,6 +24,7 @@ import typer
 from conftest import ROOT, environment
 
 from sfmrl import __version__, cli, completion
+from sfmrl.bits import machine_bits
 from sfmrl.cli import app, main
 from sfmrl.config import Config, ConfigError, Imitation, Planner, Reinforcement, Reward, Simulation, SocialForce
 from sfmrl.fast import Sizes, as_fast
@@ -80,6 +81,7 @@ def test_from_imitation_to_replay(sfmrl: Call, tmp_path: Path):
     result = json.loads((tmp_path / "runs/rl-sarl-sfm2-seed0/result.json").read_text())
     assert result["episodes"] == 4
 
+    assert result.pop("bits") == machine_bits()
     recovered = result.pop("with_recovery")
     again = sfmrl("eval", "--episodes", "4", "--json", "--csv", "out.csv")  # the newest run, as it was tested
     assert again.returncode == 0, again.stderr
