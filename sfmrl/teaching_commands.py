@@ -83,7 +83,7 @@ def verify(
 ) -> None:
     """Check a run that was handed in: files against SHA256SUMS, weights by playing again.
 
-    Exit code 0 if all that could be checked agrees, else 1. Digests can be forged by whoever computes them anew; that
+    Exit code 0 if all that could be checked agrees, else 1. Digests can be forged by recomputing them; that
     the weights do what the test's table says cannot, but who trained them, and how, is not checked. A reward of the
     run's own is Python code, and is run only with --trust-reward: read it first.
     """

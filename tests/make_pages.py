@@ -1,4 +1,4 @@
-"""Print the tutorials anew: run every block, and write what it prints into the page.
+"""Update the tutorials: run every block and write what it prints into the page.
 
     python tests/make_pages.py 02 05
 

@@ -1,4 +1,4 @@
-"""Compute tutorials/results anew from the values of every seed in its CSV files: `python tests/make_tables.py`.
+"""Recompute tutorials/results from the values of every seed in its CSV files: `python tests/make_tables.py`.
 
 The trainings take hours and their run folders are not kept; the values of every seed are. Statistics follow from them.
 """

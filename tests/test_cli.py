@@ -154,7 +154,7 @@ def test_a_network_of_crowdnav_s_is_trained_on_from_its_file(sfmrl: Call, tmp_pa
     facts = json.loads((tmp_path / "mine" / "run.json").read_text())
     assert facts["weights"]["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
     assert "il_model.pth" in sfmrl("verify", "mine", "--episodes", "1").stdout
-    # Before the first checkpoint, it begins anew from the file, if that is still the same.
+    # Before the first checkpoint, it starts again from the file, if that is unchanged.
     for name in ("weights.npz", "result.json", "best.npz"):
         (tmp_path / "mine" / name).unlink()
     torch.save(ValueNetwork(seed=4, sizes=sizes).state_dict(), path)

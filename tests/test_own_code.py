@@ -308,7 +308,7 @@ def test_a_command_runs_a_file_s_reward_only_if_it_names_or_trusts_it(own, hande
 
 
 def test_a_run_with_a_reward_of_its_own_goes_on_only_if_that_is_trusted(own, command):
-    """Named anew by --continue or trusted with --resume; the file must be what it was in either case."""
+    """Named again with --continue or trusted with --resume; in both cases the file must be unchanged."""
     config = make_config(reward={"reward": f"{own}:calm"}, imitation={"episodes": 2, "epochs": 1})
     create_run("il", config, Path("run"))
     assert was_run(own)

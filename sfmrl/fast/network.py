@@ -142,7 +142,7 @@ class FastNetwork:
         return float((error * error).mean()), found
 
     def _forward(self, states: np.ndarray, element_rows: int, state_rows: int) -> dict[str, np.ndarray]:
-        """All layers' outputs for states (E, A, K, F), with at least so many rows an episode, filled up with zeros."""
+        """All layers' outputs for states (E, A, K, F); each episode's rows are padded with zeros to these numbers."""
         (episodes, actions, elements, width), p, half = states.shape, self.parameters, self.sizes.mlp1[-1]
         element_rows, state_rows = (-(-max(rows, 1) // ROWS) * ROWS for rows in (element_rows, state_rows))
         layers: dict[str, np.ndarray] = {}
