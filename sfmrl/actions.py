@@ -33,15 +33,17 @@ def best_untrapped(
 ) -> np.ndarray:
     """The most valuable actions (E,) that neither collide nor lead where every action (E, A, 2) does.
 
-    `values` and `outcome` (E, A) are those of the actions. With more `steps`, actions are preferred that so many others
-    (of `OUTLOOK`) can follow without a collision. The most valuable of all where none is free.
+    `values` and `outcome` (E, A) are those of the actions. With more `steps`, actions are preferred after which `steps`
+    others (of `OUTLOOK`) are possible without a collision. Where every free action leads into a trap, the most valuable
+    of them; where every action collides, the most valuable of all.
 
     Every step is exact. A collision is judged by the velocities that people had before the step: those of the next are
     the `crowd_velocity` (E, N, 2) of this one, in m/s, and those after it are asked of the simulator.
     """
-    best = values.argmax(1)
     safe = np.where(outcome == COLLISION, -np.inf, values)
-    watched = np.flatnonzero(outcome[np.arange(len(best)), best] == RUNNING)
+    free = np.isfinite(safe).any(1)
+    best = np.where(free, safe.argmax(1), values.argmax(1))
+    watched = np.flatnonzero(free)
     for depth in range(1, steps + 1):
         left, pending, free = safe.copy(), watched, np.zeros(len(best), dtype=bool)
         following = actions if depth == 1 else actions[:, OUTLOOK]
@@ -64,7 +66,7 @@ def trapped(world: World, actions: np.ndarray, steps: int = 1) -> np.ndarray:
     To stop is taken to be one of the actions, so that squares alone trap nobody who has not run into one.
     """
     # Nobody can be met who is farther away than both can go.
-    gap = length(world.position[:, 1:] - world.position[:, :1]) - world.radius[:, 1:] - world.radius[:, :1] - ROUNDING
+    gap = world.gap - ROUNDING
     speed, own = length(world.velocity[:, 1:]), length(actions).max(1, initial=0.0)[:, None]
     collides = transition(world.among(gap < world.simulation.time_step * (speed + own)), actions).outcome == COLLISION
     lost = collides.all(1)

@@ -100,6 +100,11 @@ class Simulation(_Checked):
     time_step: float = knob(0.25, "length of a step, s", 1e-3, 10)
     time_limit: float = knob(25.0, "an episode is timed out 1 s before this time, s (CrowdNav)", 1, 3600)
     crowd: str = knob("orca", "what drives the humans", choices=("orca", "sfm"))
+    squares: str = knob(
+        "solid",
+        "gaps to squares are those to their outline (solid), or to the disc inside (disc; paper: d_t = d_i - r - r_i)",
+        choices=("solid", "disc"),
+    )
     robot_visible: bool = knob(True, "the humans see the robot (paper: they do)")
     safety_space: float = knob(0.0, "added to every radius when ORCA drives the robot, m", 0, 10)
     clearance: float = knob(0.01, "added to every radius inside ORCA, m (CrowdNav)", 0, 10)

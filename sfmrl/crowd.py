@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from sfmrl.config import CROWD_FORCE, Planner, Simulation
-from sfmrl.geometry import closest_approach, direction, length, limit
+from sfmrl.geometry import closest_approach, direction, length, limit, square_gap
 from sfmrl.orca import Edges, orca_velocities, polygon_edges
 from sfmrl.planner import Geodesics, plan
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
@@ -55,6 +55,18 @@ class World:
     def time(self) -> np.ndarray:
         """Seconds since the start, (E,)."""
         return self.steps * self.simulation.time_step
+
+    @property
+    def shape(self) -> tuple[np.ndarray, np.ndarray]:
+        """Half sides of solid squares (0 for discs) and radii of discs (0 for solid squares), each (E, N) m."""
+        solid = self.square & (self.simulation.squares == "solid")
+        return np.where(solid, self.radius, 0.0), np.where(solid, 0.0, self.radius)
+
+    @property
+    def gap(self) -> np.ndarray:
+        """From the robot's edge to each element's, (E, N - 1) m, NaN where absent."""
+        half, radius = self.shape
+        return square_gap(self.position[:, 1:] - self.position[:, :1], half[:, 1:])[0] - radius[:, 1:] - radius[:, :1]
 
     @property
     def preferred_velocity(self) -> np.ndarray:
@@ -169,9 +181,10 @@ def transition(world: World, action: np.ndarray) -> Transition:
     position, velocity = (np.ascontiguousarray(part.transpose(2, 0, 1)) for part in (world.position, world.velocity))
     offset = (position[:, :, 1:] - position[:, :, :1])[:, *many]
     relative_velocity = velocity[:, :, 1:][:, *many] - action.transpose(-1, *range(action.ndim - 1))[..., None]
-    radii = (world.radius[:, 1:] + world.radius[:, :1])[many]
+    half, radius = world.shape
+    radii = (radius[:, 1:] + radius[:, :1])[many]
     apart, moving = (part.transpose(*range(1, part.ndim), 0) for part in (offset, relative_velocity))
-    gap = closest_approach(apart, moving, simulation.time_step)
+    gap = closest_approach(apart, moving, simulation.time_step, half[:, 1:][many])
     separations = np.fmin(gap - radii, np.inf)  # where there is nobody, too
 
     goal_distance = length(robot + action * simulation.time_step - goal)

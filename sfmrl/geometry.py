@@ -1,4 +1,4 @@
-"""Plane geometry for whole batches: unit vectors and how close moving discs come.
+"""Plane geometry for whole batches: unit vectors, and how close moving discs and squares come.
 
 Every function takes arrays whose last axis is (x, y) and whose leading axes broadcast, and uses only
 operations that give the same bits whatever the shape of the batch.
@@ -64,16 +64,22 @@ def square_gap(offset: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.nda
     return np.where(inside, nearest, length(outside)), direction(np.copysign(way, offset))
 
 
-def closest_approach(offset: np.ndarray, relative_velocity: np.ndarray, duration: float) -> np.ndarray:
-    """Smallest distance (m) between two points in straight motion during `duration` seconds.
+def closest_approach(
+    offset: np.ndarray, relative_velocity: np.ndarray, duration: float, half: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """Smallest distance (m) between a point and a square of side 2 `half` in straight motion during `duration` seconds.
 
-    `offset` (..., 2) leads from one to the other at the start, `relative_velocity` (..., 2) is its rate of
-    change in m/s; the result has their broadcast shape without the last axis.
+    `offset` (..., 2) leads from one to the other's centre at the start, `relative_velocity` (..., 2) is its rate of
+    change in m/s; the square's sides are parallel to the axes, and with `half` 0 it is a point. The result has their
+    broadcast shape without the last axis.
     """
     px, py = offset[..., 0], offset[..., 1]
     vx, vy = relative_velocity[..., 0], relative_velocity[..., 1]
+    # A line is nearest to a square at the corner that lies farthest on the line's side, or crosses it near there.
+    side = np.sign(px * vy - py * vx)
+    corner_x, corner_y = half * np.sign(side * vy), half * np.sign(side * -vx)
     speed2 = vx * vx + vy * vy
-    when = -(px * vx + py * vy) / np.where(speed2 > 0, speed2, 1.0)
+    when = -((px - corner_x) * vx + (py - corner_y) * vy) / np.where(speed2 > 0, speed2, 1.0)
     when = np.minimum(np.maximum(when, 0.0), duration)
-    x, y = px + when * vx, py + when * vy
+    x, y = np.maximum(np.abs(px + when * vx) - half, 0.0), np.maximum(np.abs(py + when * vy) - half, 0.0)
     return np.sqrt(x * x + y * y)

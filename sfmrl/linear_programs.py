@@ -78,26 +78,6 @@ def least_violations(half_planes, n_hard, max_speed, velocity):
     return velocity, found
 
 
-def one_by_one(half_planes, max_speed, preferred):
-    """Return the velocities (2, Q) nearest to the preferred ones within the first half-planes, until no velocity fits.
-
-    For half-planes that have nothing but rounding errors in common. Shapes and units as in `nearest_velocities`.
-    """
-    velocity = limit_speed(preferred, max_speed)
-    program = np.arange(len(max_speed))
-    for m in range(half_planes.shape[1]):
-        outside = violations(half_planes[:, m, program], velocity[:, program]) > 0
-        moved = program[outside]
-        line = half_planes[:, m, moved]
-        left, right = _interval(line, half_planes[:, :m, moved], max_speed[moved])
-        wish = line[2] * (preferred[0, moved] - line[0]) + line[3] * (preferred[1, moved] - line[1])
-        fits = left <= right
-        velocity[:, moved[fits]] = _along(line, left, right, wish)[:, fits]
-        outside[outside] = ~fits
-        program = program[~outside]
-    return velocity
-
-
 def violations(half_planes, velocity):
     """Return by how much, in m/s, each velocity (2, Q) lies outside each of its half-planes (4, M, Q) or (4, Q)."""
     if half_planes.ndim > velocity.ndim:

@@ -17,7 +17,7 @@ from numbers import Integral
 import numpy as np
 
 from sfmrl.geometry import broadcast, numbers
-from sfmrl.linear_programs import least_violations, nearest_velocities, one_by_one, violations
+from sfmrl.linear_programs import least_violations, nearest_velocities, violations
 from sfmrl.orca_agents import agent_half_planes, mutual_half_planes
 from sfmrl.orca_polygons import edge_half_planes, uncovered
 from sfmrl.polygons import Edges, polygon_edges
@@ -137,7 +137,8 @@ def _velocities(agent, lines, edges, obstacle_time_horizon):
 def _permitted(half_planes, n_hard, max_speed, preferred):
     """Return the velocities (2, Q) nearest to the preferred ones, or those that violate the soft half-planes least.
 
-    Where the hard half-planes, the first n_hard of (4, M, Q), have only rounding errors in common, the first ones win.
+    The first n_hard of the half-planes (4, M, Q) are hard. Standing still violates none of them but by rounding, so an
+    agent stops where no velocity is found that does better.
     """
     velocity, feasible = nearest_velocities(half_planes, max_speed, preferred)
     rest = (~feasible).nonzero()[0]
@@ -145,9 +146,7 @@ def _permitted(half_planes, n_hard, max_speed, preferred):
         velocity[:, rest], found = least_violations(
             half_planes.take(rest, axis=2), n_hard, max_speed[rest], velocity.take(rest, axis=1)
         )
-        rest = rest[~found]
-    if len(rest):
-        velocity[:, rest] = one_by_one(half_planes.take(rest, axis=2), max_speed[rest], preferred.take(rest, axis=1))
+        velocity[:, rest[~found]] = 0.0
     return velocity
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from sfmrl.vectors import bits, choose, det, dot, turn_right
 
 HALF = np.float32(0.5)
+TINY = np.float32(1e-30)
 
 
 def mutual_half_planes(agents, time_step, neighbor_distance, time_horizon):
@@ -67,8 +68,9 @@ def _shares(agent, other, time_step, neighbor_distance, time_horizon):
     w_squared, towards = dot(w, w), dot(w, away)
     on_disc = bits(overlap | ((towards < 0) & (towards * towards > reach_squared * w_squared)))
 
-    # Else the left leg of the cone counts, if the relative velocity is left of its axis, or the right one, reversed.
-    side = np.copysign(np.sqrt(squared - reach_squared), det(away, w))
+    # Else the left leg of the cone counts, if the relative velocity is left of its axis, or the right one, reversed. On
+    # the axis itself RVO2 takes the right one, and so does the tiny number.
+    side = np.copysign(np.sqrt(squared - reach_squared), det(away, w) - TINY)
     leg = away * side
     across = away * reach
     leg[0] -= across[1]

@@ -8,8 +8,9 @@ halved.
 Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, section 5.4. What the paper leaves open is
 done as the authors' RVO2 library does it: an edge counts only for agents outside of it and within range, and only where
 the half-planes of nearer edges do not cover it already; a leg that would cut into the neighbouring edge runs along that
-edge and does not constrain. Left out: RVO2's search tree, which now and then splits an edge in two along another one's
-line, and with it the order among edges that are exactly equally near (here: the order in which they were given).
+edge and does not constrain. Of edges that are
+equally near, as both sides of a corner often are, the one that stands earlier in RVO2's search tree goes first
+(`polygons.py`). Left out: the tree's habit of splitting an edge in two along another one's line.
 
 Pairs of an edge and an agent that it faces are listed one after the other, K in all, agent by agent and nearest first.
 Vectors are (2, K); what a pair has for both ends of its edge, start and end, has one more axis for them, (2, 2, K).

@@ -122,12 +122,13 @@ def _distances(
     x = corner[:, 0] + planner.resolution * np.arange(columns)[:, None]  # (X, E)
     y = corner[:, 1] + planner.resolution * np.arange(rows)[:, None]  # (Y, E)
 
-    room = np.full((rows, len(scenes), columns), np.inf, dtype=np.float32)  # m from the robot's edge to a square's disc
+    room = np.full((rows, len(scenes), columns), np.inf, dtype=np.float32)  # m from the robot's edge to a square
     for k in np.flatnonzero(square.any(0)):
-        dx = np.where(square[:, k], x - scenes.start[:, k, 0], np.inf).T.astype(np.float32)
-        dy = np.where(square[:, k], y - scenes.start[:, k, 1], np.inf).astype(np.float32)
+        side_x, side_y = (np.abs(at - scenes.start[:, k, axis]) - scenes.radius[:, k] for axis, at in enumerate((x, y)))
+        dx = np.where(square[:, k], np.maximum(side_x, 0.0), np.inf).T.astype(np.float32)
+        dy = np.where(square[:, k], np.maximum(side_y, 0.0), np.inf).astype(np.float32)
         apart = np.sqrt((dx * dx)[None] + (dy * dy)[..., None])
-        np.minimum(room, apart - (scenes.radius[:, k] + robot[:, 0]).astype(np.float32)[:, None], out=room)
+        np.minimum(room, apart - robot.astype(np.float32), out=room)
     cost = np.where(room < planner.resolution / 4, SOLID, np.where(room < planner.inflation, NARROW, 1.0))
     beyond = (np.arange(columns) >= size[:, :1]) | (np.arange(rows)[:, None, None] >= size[:, 1:])
     cost = np.where(beyond, np.inf, planner.resolution * cost).astype(np.float32)

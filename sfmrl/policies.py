@@ -9,6 +9,7 @@ from sfmrl.config import ConfigError, suggest
 from sfmrl.crowd import World, orca_crowd, sfm_crowd
 from sfmrl.files import read_checked
 from sfmrl.folders import OLD, WEIGHTS, unfinished
+from sfmrl.geometry import direction
 from sfmrl.lookahead import Policy, SarlPolicy, available_cores
 from sfmrl.models import model_names, model_weights
 from sfmrl.own_code import kind, trusted
@@ -16,8 +17,8 @@ from sfmrl.recovery import with_recovery
 
 
 def linear_policy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
-    """Straight for the goal, blind to everything: (E, 2) m/s."""
-    return world.preferred_velocity[:, 0]
+    """Straight for the goal at v_pref, blind to everything: (E, 2) m/s."""
+    return direction(world.goal[:, 0] - world.position[:, 0]) * world.v_pref[:, :1]
 
 
 def orca_policy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:

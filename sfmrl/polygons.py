@@ -13,6 +13,7 @@ from sfmrl.geometry import numbers
 
 FIELDS = 15
 SPACING = 64.0  # m between possible origins; a power of two, so that subtracting one does not round
+ON_LINE = np.float32(1e-5)  # m^2, twice the area between a line and an edge that lies on it
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,35 @@ def polygon_edges(polygons: np.ndarray, position: np.ndarray) -> Edges:
     edge = end - start
     minus_squared = -(edge[0] * edge[0] + edge[1] * edge[1])
     values[:, slot, episode] = [*ends, start_convex, end_convex, *own, *edge, minus_squared]
+    for e, edges in enumerate(per_episode):
+        values[:, :edges, e] = values[:, _tree_order(values[:4, :edges, e]), e]
     return Edges(values, origin)
+
+
+def _tree_order(ends):
+    """Return the indices of one episode's edges (4, S) in the order of RVO2's search tree.
+
+    The root is the edge whose line divides the others most evenly, of several the first. After it come the edges on
+    the left of its line, as a tree of their own, and then those on its right. An edge that the line crosses, which RVO2
+    splits, stays whole on the left.
+    """
+    start, way = ends[::2], ends[1::2] - ends[::2]
+    # For each edge's line (rows), twice the areas that it spans with every edge's start and end: > 0 on its left.
+    from_line = start[:, None] - start[:, :, None]
+    areas = [_det(way[:, :, None], to) for to in (from_line, from_line + way[:, None])]
+    right = np.minimum(*areas) < -ON_LINE
+    left = ~right | (np.maximum(*areas) > ON_LINE)
+    np.fill_diagonal(left, False)
+    order, trees = [], [np.arange(ends.shape[1])]
+    while trees:
+        tree = trees.pop()
+        if len(tree) > 1:
+            lefts, rights = (side[tree].take(tree, axis=1).sum(axis=1) for side in (left, right))
+            root = tree[(np.maximum(lefts, rights) * len(tree) + np.minimum(lefts, rights)).argmin()]
+            trees += [tree[right[root, tree] & ~left[root, tree]], tree[left[root, tree]]]
+            tree = [root]
+        order.extend(tree)
+    return order
 
 
 def _check_outlines(start, end, first, size, outline):

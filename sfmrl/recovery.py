@@ -90,8 +90,9 @@ def way_out(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
 def straight_way_is_free(world: World, inflation: float) -> np.ndarray:
     """Whether the robot could go straight to its goal and keep `inflation` (m) from all squares, (E,) bool."""
     way = world.goal[:, :1] - world.position[:, :1]
-    gap = closest_approach(world.position[:, 1:] - world.position[:, :1], -way, 1.0)
-    near = gap < world.radius[:, 1:] + world.radius[:, :1] + inflation
+    half, radius = (part[:, 1:] for part in world.shape)
+    gap = closest_approach(world.position[:, 1:] - world.position[:, :1], -way, 1.0, half) - radius
+    near = gap < world.radius[:, :1] + inflation
     return ~(near & world.square[:, 1:]).any(1)
 
 

@@ -28,7 +28,7 @@ class Transition:
     preferred_velocity (..., 2): m/s, of length v_pref, from the start of the step towards the goal
     goal_distance_before (...): m, from the robot to its goal at the start of the step
     goal_distance (...): m, the same at the end of the step
-    separations (..., K): m, smallest gap to each element's disc during the step; +inf where absent
+    separations (..., K): m, smallest gap to each element during the step; +inf where absent
     separation (...): m, the smallest of these; +inf with no elements
     outcome (...): RUNNING, SUCCESS, COLLISION or TIMEOUT
     """

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sfmrl.config import Config, Reward
+from sfmrl.crowd import reset
 from sfmrl.episodes import Record
-from sfmrl.geometry import length
 from sfmrl.lookahead import Lookahead
 from sfmrl.recovery import RecoveringPolicy
 from sfmrl.rewards import RUNNING, reward_terms, total
@@ -35,7 +35,7 @@ class Story:
     goal: np.ndarray  # (N, 2) m
     radius: np.ndarray  # (N,) m
     square: np.ndarray  # (N,) bool
-    gap: np.ndarray  # (T + 1, K) m, from disc to disc at the moment
+    gap: np.ndarray  # (T + 1, K) m, from the robot's edge to the element's at the moment
     force: np.ndarray  # (T + 1, K, 2) m/s^2, each element's repulsion on the robot
     separations: np.ndarray  # (T, K) m, the smallest gaps in each step; +inf where absent
     terms: dict[str, np.ndarray]  # (T,) each
@@ -90,6 +90,7 @@ def tell(record: Record, row: int, policy=None, reward: Reward | None = None, di
     factor = discount ** (one.simulation.time_step * scenes.v_pref[0, 0])
     returns = np.concatenate(([0.0], np.cumsum(total(terms) * factor ** np.arange(steps))))
     offset = position[:, :1] - position[:, 1:]  # from the elements to the robot
+    moments = replace(reset(scenes, one.simulation).take(np.zeros(steps + 1, dtype=int)), position=position)
     distance = Reward.discomfort_distance if reward is None else reward.discomfort_distance
     near = np.concatenate(([False], (step.outcome == RUNNING) & (step.separation < distance)))
     attention = look = None
@@ -111,7 +112,7 @@ def tell(record: Record, row: int, policy=None, reward: Reward | None = None, di
         goal=scenes.goal[0],
         radius=scenes.radius[0],
         square=scenes.square[0],
-        gap=length(offset) - scenes.radius[0, 1:] - scenes.radius[0, 0],
+        gap=moments.gap,
         force=repulsive_forces(offset),
         separations=step.separations,
         terms=terms,

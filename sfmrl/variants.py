@@ -11,7 +11,7 @@ from sfmrl.config import Config, ConfigError, override, suggest
 MIXES = {"table1": "1:0.7,2:0.3", "table2": "2:0.25,3:0.25,4:0.25,5:0.25"}
 
 PRESETS: dict[str, dict[str, Any]] = {
-    "paper": {"preset": "paper"},
+    "paper": {"preset": "paper", "simulation": {"squares": "disc"}},
     "quick": {
         "preset": "quick",
         "value_prior": True,

@@ -214,3 +214,17 @@ def test_a_scene_with_nobody_in_it():
     assert list(record.outcome) == ["success"]
     np.testing.assert_allclose(record.position[0, :, 0, 0], 0, atol=1e-6)
     assert record.steps[0] == 33  # 7 s at 1 m/s, then a quarter of what is left in every step until it is below 0.3 m
+
+
+@pytest.mark.parametrize(
+    ("squares", "outcome", "gap"), [("solid", COLLISION, -0.3), ("disc", RUNNING, 1.9 / 2**0.5 - 1.3)]
+)
+def test_a_corner_of_a_square_is_solid_unless_squares_count_as_discs(squares, outcome, gap):
+    """The robot's centre crosses the corner of a square of side 2 m, and just misses the disc inside it."""
+    simulation = Simulation(squares=squares, time_step=1.0)
+    world = reset(
+        Scenes([[[0.45, 1.45], [0, 0]]], [[[9, 0], [0, 0]]], radius=[[0.3, 1.0]], square=[[False, True]]), simulation
+    )
+    step = transition(world, np.array([[1.0, -1.0]]))
+    assert step.outcome[0] == outcome
+    assert step.separations[0, 0] == pytest.approx(gap, abs=1e-9)

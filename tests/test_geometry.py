@@ -93,3 +93,12 @@ def test_the_gap_to_a_square_is_the_distance_to_the_nearest_of_many_points_on_it
     np.testing.assert_allclose(length(away), 1.0)
     # A step straight away from the outline makes the gap longer by as much.
     assert square_gap(offset + 0.01 * away, np.array(half))[0] == pytest.approx(gap + 0.01)
+
+
+@given(vector, vector, st.floats(0, 5), st.floats(0, 8))
+def test_closest_approach_to_a_square_is_the_smallest_distance_over_dense_time(offset, velocity, duration, half):
+    times = np.linspace(0.0, duration, 2001)
+    dense = length(np.maximum(np.abs(offset + times[:, None] * velocity) - half, 0.0)).min()
+    found = closest_approach(offset, velocity, duration, half)
+    slack = length(velocity) * duration / 4000
+    assert dense - slack - 1e-9 <= found <= dense + 1e-9

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sfmrl.geometry import limit
 from sfmrl.linear_programs import least_violations, nearest_velocities, violations
 from sfmrl.orca import orca_velocities, polygon_edges
 from sfmrl.vectors import limit_speed
@@ -53,8 +54,8 @@ def random_scenes(rng: np.random.Generator, count: int, kind: str, dense: bool, 
     }
 
 
-def rvo2(position, velocity, preferred_velocity, radius, max_speed, polygons, parameters=DEFAULTS):
-    """RVO2's velocities (N, 2) for one scene, and whether some velocity was permitted (N,)."""
+def stepped(position, velocity, preferred_velocity, radius, max_speed, polygons, parameters=DEFAULTS):
+    """RVO2 after one step of one scene, and the rows of the agents that are present."""
     time_step, distance, neighbors, horizon, obstacle_horizon = parameters
     simulator = pyrvo.RVOSimulator(time_step, distance, neighbors, horizon, obstacle_horizon, 0.3, 1.0)
     for polygon in polygons:
@@ -69,13 +70,24 @@ def rvo2(position, velocity, preferred_velocity, radius, max_speed, polygons, pa
         simulator.add_agent(place, distance, neighbors, horizon, obstacle_horizon, *own, motion)
         simulator.set_agent_pref_velocity(number, tuple(preferred_velocity[row].tolist()))
     simulator.do_step()
-    result, feasible = np.full(position.shape, np.nan), np.ones(len(position), bool)
+    return simulator, present
+
+
+def half_planes(simulator, number: int) -> np.ndarray:
+    """RVO2's half-planes (M, 4) of an agent as the linear programs have them, those of polygons first."""
+    lines = [simulator.get_agent_orca_line(number, k) for k in range(simulator.get_agent_num_orca_lines(number))]
+    return np.array([(*point, *direction) for direction, point in lines], np.float32).reshape(-1, 4)
+
+
+def rvo2(*scene):
+    """RVO2's velocities (N, 2) for one scene, and whether some velocity was permitted (N,)."""
+    simulator, present = stepped(*scene)
+    result, feasible = np.full(scene[0].shape, np.nan), np.ones(len(scene[0]), bool)
     for number, row in enumerate(present):
         found = simulator.get_agent_velocity(number)
         result[row] = found.x, found.y
-        for line in range(simulator.get_agent_num_orca_lines(number)):
-            (dx, dy), (px, py) = simulator.get_agent_orca_line(number, line)
-            feasible[row] &= dx * (py - found.y) - dy * (px - found.x) < 1e-5
+        excess = violations(half_planes(simulator, number).T, np.tile(result[row, :, None], 1))
+        feasible[row] = excess.max(initial=0) < 1e-5
     return result, feasible
 
 
@@ -133,6 +145,63 @@ def test_crowds_of_fifty_against_rvo2():
     assert len(error) > 200
     assert (error < 1e-3).mean() >= 0.995
     assert error[feasible].max() < 1e-5
+
+
+def agents_close_to_squares(rng: np.random.Generator, count: int, on_grid: bool) -> dict:
+    """Scenes of four agents and two to six squares within reach, side by side where `on_grid`; nobody overlaps any."""
+    scenes = {name: [] for name in SCENE}
+    while len(scenes["position"]) < count:
+        centres = 0.6 * rng.integers(-3, 4, (6, 2)) if on_grid else rng.uniform(-2, 2, (6, 2))
+        apart = np.abs(centres[:, None] - centres).max(-1) > 0.6 - 1e-9
+        centres = centres[[apart[k, :k].all() for k in range(6)]]
+        position = rng.uniform(-2.5, 2.5, (4, 2))
+        room = np.linalg.norm(np.maximum(np.abs(position[:, None] - centres) - 0.3, 0), axis=-1)
+        gaps = np.linalg.norm(position[:, None] - position, axis=-1) + 9 * np.eye(4)
+        if room.min() > 0.32 and gaps.min() > 0.64:
+            polygons = np.full((6, 4, 2), np.nan)
+            polygons[: len(centres)] = centres[:, None] + SQUARE
+            now, wanted = limit(rng.normal(0, 0.7, (4, 2)), 1.0), limit(rng.normal(0, 0.8, (4, 2)), 1.0)
+            for name, value in zip(SCENE, (position, now, wanted, [0.31] * 4, [1.0] * 4, polygons), strict=True):
+                scenes[name].append(value)
+    return {name: np.array(values) for name, values in scenes.items()}
+
+
+@pytest.mark.parametrize("on_grid", [True, False])
+def test_close_to_squares_an_agent_does_as_in_rvo2_wherever_that_keeps_its_own_half_planes(on_grid):
+    """Where polygons leave only v = 0, up to rounding, RVO2 stops or moves on by chance; ours always stops."""
+    scenes = agents_close_to_squares(np.random.default_rng(0), 750, on_grid)
+    ours, same = orca_velocities(*scenes.values()), []
+    for scene, velocities in zip(zip(*scenes.values(), strict=True), ours, strict=True):
+        simulator, present = stepped(*scene)
+        for number in present:
+            theirs = simulator.get_agent_velocity(number)
+            both = np.array([[theirs.x, theirs.y], velocities[number]])
+            hard = half_planes(simulator, number)[: -(len(present) - 1)]  # the others' are the last
+            excess = violations(np.tile(hard.T[..., None], 2), both.T).max(axis=0, initial=0)
+            if excess[0] < 1e-4:
+                same.append(np.linalg.norm(both[0] - both[1]) < 0.01)
+    assert len(same) > 2900
+    assert np.mean(same) >= 0.998
+
+
+@pytest.mark.parametrize("way", [(1, 0), (0, 1), (-1, 0), (0, -1)])
+def test_agents_head_on_pass_on_the_side_that_rvo2_chooses(way):
+    way = np.array(way, dtype=float)
+    for apart in (1.0, 1.5, 2.0, 3.0):
+        for first, second in ((1.0, 0.0), (1.0, 0.5), (1.0, 1.0), (0.5, 1.0)):
+            position, velocity = np.array([0 * way, apart * way]), np.array([first * way, -second * way])
+            expected, _ = rvo2(position, velocity, velocity, [0.3] * 2, [1.0] * 2, [])
+            found = orca_velocities(position[None], velocity[None], velocity[None], 0.3, 1.0)[0]
+            np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_of_a_corner_s_two_edges_the_one_first_in_rvo2_s_tree_counts_first():
+    position, velocity, wanted = np.array([[[-1.4, 1.4]], [[0.7, -0.72]], [[0.9, 0.25]]])
+    for centres in ([(0, 0)], [(0, 0), (0.6, -1.2), (-1.8, -0.6)]):
+        squares = np.array(centres)[:, None] + SQUARE
+        expected, _ = rvo2(position, velocity, wanted, [0.3], [1.0], squares)
+        found = orca_velocities(position[None], velocity[None], wanted[None], 0.3, 1.0, squares[None])[0]
+        np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 def test_walls_of_two_vertices_against_rvo2():

@@ -218,7 +218,7 @@ def test_attention_is_listed_from_most_to_least():
     bars = [row.count("█") for row in rows]
     assert bars == sorted(bars, reverse=True)
     assert bars[0] > 2 * bars[2]
-    gaps = [np.hypot(2.0, 1.0) - 0.6, np.hypot(1.0, 3.0) - 0.6, 2.0 - 0.6]  # the robot is at (0, 0)
+    gaps = [np.hypot(2.0, 1.0) - 0.6, np.hypot(0.7, 2.7) - 0.3, 2.0 - 0.6]  # to the square, from its corner
     assert [float(row.split()[-2]) for row in rows] == pytest.approx(gaps, abs=0.006)
 
 

@@ -238,7 +238,8 @@ def test_a_record_s_rewards_are_those_of_its_transitions(name):
 def test_a_record_s_transitions_follow_from_its_trajectories():
     """Velocity, goal distance and gaps of each step from the positions alone, by dense sampling of the step."""
     record = play(sample_scenes("1", 6, seed=4), "orca")
-    radii = record.scenes.radius[:, 1:] + record.scenes.radius[:, :1]
+    half = np.where(record.scenes.square, record.scenes.radius, 0.0)[:, 1:, None]  # of a square's side, 0 for people
+    radii = np.where(record.scenes.square, 0.0, record.scenes.radius)[:, 1:] + record.scenes.radius[:, :1]
     share = np.linspace(0, 1, 101)[:, None, None]
     for e, steps in enumerate(record.steps):
         for t in range(steps):
@@ -252,7 +253,8 @@ def test_a_record_s_transitions_follow_from_its_trajectories():
             assert (step.time, step.time_step) == (0.25 * (t + 1), 0.25)
             robot = here[0] + share * 0.25 * step.velocity
             others = here[1:] + share * 0.25 * record.velocity[e, t, 1:]  # as people moved before the step
-            gaps = np.hypot(*np.moveaxis(others - robot, -1, 0)).min(0) - radii[e]
+            outside = np.maximum(np.abs(others - robot) - half[e], 0.0)
+            gaps = np.hypot(*np.moveaxis(outside, -1, 0)).min(0) - radii[e]
             np.testing.assert_allclose(step.separations, gaps, atol=2e-3)
 
 
