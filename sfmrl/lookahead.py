@@ -57,10 +57,7 @@ class SarlPolicy:
     def lookahead(self, world: World, crowd_velocity: np.ndarray) -> Lookahead:
         """Values of all actions in every episode of the world."""
         actions = ACTIONS * world.v_pref[:, 0, None, None]  # (E, A, 2)
-        size = max(1, min(BLOCK, -(-len(world) // self.threads)))
-        blocks = [slice(e, e + size) for e in range(0, len(world), size)] or [slice(0)]
-        parts = self._pool.map(lambda rows: self._values(world, crowd_velocity, actions, rows), blocks)
-        values, outcome = (np.concatenate(part) for part in zip(*parts, strict=True))
+        values, outcome = self.judge(world, crowd_velocity, actions)
         if not np.isfinite(values).all():
             raise ConfigError(
                 "the network's values are not finite: its weights are too large, so its training diverged"
@@ -70,6 +67,14 @@ class SarlPolicy:
         else:
             best = values.argmax(1)
         return Lookahead(actions, values, best)
+
+    def judge(self, world: World, crowd_velocity: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The values and outcomes (E, A) of actions (E, A, 2) in m/s, reckoned in blocks on all threads."""
+        size = max(1, min(BLOCK, -(-len(world) // self.threads)))
+        blocks = [slice(e, e + size) for e in range(0, len(world), size)] or [slice(0)]
+        parts = self._pool.map(lambda rows: self._values(world, crowd_velocity, actions, rows), blocks)
+        values, outcome = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return values, outcome
 
     def attention(self, world: World) -> np.ndarray:
         """The share of attention each element gets in the world as it is, (E, K)."""
@@ -98,6 +103,29 @@ class SarlPolicy:
         if self.config.collision_ends:
             ahead = np.where(step.outcome == COLLISION, 0.0, ahead)
         return reward + step_discount(self.config.discount, world.v_pref[:, :1], world.simulation) * ahead, step.outcome
+
+
+class RememberingPolicy(SarlPolicy):
+    """SARL that keeps the values of every moment it has judged, so that playing the same moment again costs nothing.
+
+    A test with recovery goes the same way as the test without, until an episode's robot is stuck or near a trap.
+    """
+
+    def __init__(self, network, config: Config, threads: int = 1) -> None:
+        super().__init__(network, config, threads)
+        self._judged: dict[tuple, tuple[np.ndarray, np.ndarray]] = {}
+
+    def judge(self, world: World, crowd_velocity: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As SARL's, from memory where it can be; what the people are about to do follows from where they are."""
+        numbers = zip(world.episode.tolist(), world.steps.tolist(), strict=True)
+        moments = zip(numbers, world.position, world.velocity, strict=True)
+        keys = [(number, position.tobytes(), velocity.tobytes()) for number, position, velocity in moments]
+        new = np.flatnonzero([key not in self._judged for key in keys])
+        if len(new):
+            judged = super().judge(world.take(new), crowd_velocity[new], actions[new])
+            self._judged |= zip((keys[row] for row in new), zip(*judged, strict=True), strict=True)
+        values, outcome = zip(*(self._judged[key] for key in keys), strict=True)
+        return np.array(values), np.array(outcome)
 
 
 def world_states(world: World, forces: bool) -> np.ndarray:

@@ -19,7 +19,7 @@ from sfmrl.files import DamagedFile, digest_of, read_sums
 from sfmrl.folders import BEST, DEMONSTRATIONS, run_folders, unfinished
 from sfmrl.imitation import fill_memory, fit_memory, load_demonstrations, make_memory, new_fit
 from sfmrl.learner import Learner
-from sfmrl.lookahead import Policy, SarlPolicy
+from sfmrl.lookahead import Policy, RememberingPolicy, SarlPolicy
 from sfmrl.policies import WEIGHTS
 from sfmrl.progress import Progress, no_progress
 from sfmrl.recovery import with_recovery
@@ -78,11 +78,12 @@ def reinforce(
                 break
             train_stretch(run, learner, explorer, told, stop)
     run.save_checkpoint(learner.state_dict())
-    record = play("test", settings.test_episodes)
+    remembering = RememberingPolicy(learner.tested, config, threads)
+    record = play("test", settings.test_episodes, remembering)
     result = metrics(record)
     run.write_table("test.csv", episode_rows(record))
     if config.planner.recover:
-        recovering = with_recovery(alone, config.planner)
+        recovering = with_recovery(remembering, config.planner)
         result["with_recovery"] = metrics(play("test", settings.test_episodes, recovering), recovering)
     if settings.test_best:
         best = best_validation(learner.validations)

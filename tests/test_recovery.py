@@ -9,7 +9,7 @@ from sfmrl.actions import ACTIONS, OUTLOOK, best_untrapped, trapped
 from sfmrl.config import Config, Planner, Reward, Simulation
 from sfmrl.crowd import advance, crowd_velocities, reset, transition
 from sfmrl.episodes import play_episodes
-from sfmrl.lookahead import SarlPolicy
+from sfmrl.lookahead import RememberingPolicy, SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import find_policy, linear_policy, orca_policy
 from sfmrl.recovery import RecoveringPolicy, straight_way_is_free, with_recovery
@@ -86,6 +86,25 @@ def test_recovery_is_put_on_and_taken_off_and_leaves_the_network_as_it_was():
     assert (policy.trap_steps, helped.policy.trap_steps) == (1, 2)
     assert with_recovery(helped, Planner()).trap_steps == 1
     assert with_recovery(find_policy("orca"), Planner()) is orca_policy
+
+
+def test_a_test_with_recovery_takes_from_the_one_without_what_both_have_in_common(monkeypatch):
+    scenes, config = sample_scenes("1:0.5,2:0.5", 8, seed=3), Config(avoid_traps=True)
+    judged = []
+    whole = SarlPolicy.judge
+    monkeypatch.setattr(
+        SarlPolicy, "judge", lambda self, world, *rest: judged.append(len(world)) or whole(self, world, *rest)
+    )
+
+    def play_both(policy) -> list:
+        judged.clear()
+        pair = policy, with_recovery(policy, ON)
+        return [play_episodes(scenes, one, config.reward, config.simulation).position for one in pair]
+
+    expected, states = play_both(SarlPolicy(ValueNetwork(), config)), sum(judged)
+    for record, other in zip(play_both(RememberingPolicy(ValueNetwork(), config)), expected, strict=True):
+        np.testing.assert_array_equal(record, other)
+    assert sum(judged) < 0.9 * states
 
 
 # Traps
