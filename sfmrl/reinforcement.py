@@ -1,259 +1,33 @@
 """Reinforcement: deep V-learning past what ORCA showed, as CrowdNav and the paper have it.
 
-Play with epsilon-greedy lookahead, store each state with the value its episode gave it, learn from random batches;
-validate at intervals, and test in the end.
+Play with epsilon-greedy lookahead, store each state with the value its episode gave it, learn from random batches.
 """
 
-import time
-from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator
 
-from sfmrl.bits import machine_bits
-from sfmrl.config import Config, ConfigError, Reinforcement
 from sfmrl.episodes import Record
-from sfmrl.evaluation import episode_rows, evaluation_record, metrics
-from sfmrl.exploration import Explored, Explorer, remember
-from sfmrl.files import DamagedFile, digest_of, read_sums
-from sfmrl.folders import BEST, DEMONSTRATIONS, run_folders, unfinished
-from sfmrl.imitation import fill_memory, fit_memory, load_demonstrations, make_memory, new_fit
+from sfmrl.exploration import Explorer, remember
 from sfmrl.learner import Learner
-from sfmrl.lookahead import Policy, RememberingPolicy, SarlPolicy
-from sfmrl.policies import WEIGHTS
-from sfmrl.progress import Progress, no_progress
-from sfmrl.recovery import with_recovery
-from sfmrl.runs import Run, check_names, create_run, open_run
-from sfmrl.states import column_names
-from sfmrl.stopping import Interrupted, StopSignal
-from sfmrl.weights import load_weights, network_from, save_weights
-
-CHECKPOINT_EVERY = 20.0  # seconds between checkpoints; when they are taken changes no number
-EVALUATION_SEED = 0  # validation and test are the same episodes for every training seed, so that runs compare in pairs
-VALIDATED = ("success", "collision", "timeout", "navigation_time", "total_reward")
 
 
-def reinforce(
-    run: Run,
-    progress: Progress,
-    stop: StopSignal,
-    say: Callable[[str], None],
-    *,
-    threads: int = 1,
-) -> dict[str, Any]:
-    """Run or go on with a training to its end; returns the final test's metrics.
+def reinforce(learner: Learner, explorer: Explorer, until: int) -> Iterator[tuple[Record, float]]:
+    """Train up to episode `until`; after each round of episodes yield their record and the mean loss.
 
-    Raises Interrupted, with a checkpoint just written, once `stop` has been requested.
+    With `overlap` the next round is played on another process while this one's batches are learnt. Both read only what
+    is fixed before they begin, so the numbers do not depend on which ends first.
     """
-    config, settings = run.config, run.config.reinforcement
-    learner = begin(run, progress, stop, say)
-    run.write_table("metrics.csv", learner.rows)
-    run.write_table("validation.csv", learner.validations)
-    alone = SarlPolicy(learner.tested, config, threads)
+    settings = learner.config.reinforcement
 
-    def play(phase: str, episodes: int, policy: Policy = alone, progress: Progress = progress) -> Record:
-        return evaluation_record(
-            policy,
-            environment=settings.test_environment,
-            episodes=episodes,
-            seed=EVALUATION_SEED,
-            simulation=config.simulation,
-            phase=phase,
-            progress=stop.watch(progress),
-        )
+    def next_round(first: int) -> range:
+        return range(first, min(first + settings.parallel, until))
 
-    aside = settings.overlap and threads > 1
-    sizes, left = learner.network.sizes, settings.episodes - learner.episode
-    with Explorer(config, threads - aside, aside, sizes) as explorer, progress("reinforcement", left) as told:
-        while True:
-            if due(learner, settings):
-                rates = metrics(play("validation", settings.validation_episodes, progress=no_progress))
-                row = {"episode": learner.episode} | {name: rates[name] for name in VALIDATED}
-                if row["success"] >= max((old["success"] for old in learner.validations), default=0.0):
-                    save_weights(learner.tested, config, run.folder / BEST)
-                learner.validations.append(row)
-                run.append_rows("validation.csv", [row])
-                say(f"validation at {learner.episode} of {settings.episodes}: {summary(rates)}")
-            if learner.episode >= settings.episodes:
-                break
-            train_stretch(run, learner, explorer, told, stop)
-    run.save_checkpoint(learner.state_dict())
-    remembering = RememberingPolicy(learner.tested, config, threads)
-    record = play("test", settings.test_episodes, remembering)
-    result = metrics(record)
-    run.write_table("test.csv", episode_rows(record))
-    if config.planner.recover:
-        recovering = with_recovery(remembering, config.planner)
-        result["with_recovery"] = metrics(play("test", settings.test_episodes, recovering), recovering)
-    if settings.test_best:
-        best = best_validation(learner.validations)
-        if best["episode"] != learner.episode:
-            network, _ = load_weights(run.folder / BEST)
-            record = play("test", settings.test_episodes, SarlPolicy(network, config, threads))
-        run.write_table("test-best.csv", episode_rows(record))
-        result["best_validation"] = {"episode": best["episode"]} | metrics(record)
-    run.write_json("result.json", result | {"bits": machine_bits()})  # a training may end on another machine
-    run.finish(learner.tested)
-    return result
-
-
-def train_stretch(
-    run: Run, learner: Learner, explorer: Explorer, told: Callable[[int], None], stop: StopSignal
-) -> None:
-    """Play and learn up to the next validation; `told` is given the number of episodes after each round.
-
-    With `overlap` a round's episodes are played while the batches of the round before are learnt; what either reads is
-    fixed before both begin, so the order in which they end makes no difference.
-    """
-    settings = run.config.reinforcement
-    end = min(settings.validation_interval * (learner.episode // settings.validation_interval + 1), settings.episodes)
-    saved_at = time.monotonic()
-
-    def start() -> Callable[[], Explored]:
-        return explorer.start(learner.actor, range(first, min(first + settings.parallel, end)))
-
-    first = learner.episode
-    ahead = start()
-    while learner.episode < end:
-        record, random_steps = ahead()
-        remember(learner, record, random_steps)
+    ahead = explorer.start(learner.actor, next_round(learner.episode))
+    while learner.episode < until:
+        record, was_random = ahead()  # played epsilon-greedily
+        remember(learner, record, was_random)  # state -> value to learn
         learner.renew_actor()
-        first += len(record.steps)
-        if first < end:
-            ahead = start()
-        loss = learner.learn(len(record.steps) * settings.batches)
-        learner.advance(len(record.steps))
-        rows = [row | {"loss": loss} for row in episode_rows(record)]
-        learner.rows += rows
-        run.append_rows("metrics.csv", rows)
-        told(len(rows))
-        if stop.requested or first == end or time.monotonic() - saved_at > CHECKPOINT_EVERY:
-            run.save_checkpoint(learner.state_dict())
-            saved_at = time.monotonic()
-        if stop.requested:
-            raise Interrupted
-
-
-def start_run(config: Config, source: Path | None, from_scratch: bool, folder: Path | None, **existing: bool) -> Run:
-    """Make the folder of a new training that goes on from imitation run `source`, or from the newest that fits.
-
-    If `source` is a weights file, the training goes on from its network, without demonstrations and with its
-    `value_prior`. `existing` says what becomes of a folder that is there already, as for `create_run`.
-
-    A run fits that was made under the same preset, seed and simulation; its reward and state do not matter. Raises
-    ConfigError, with what to type, where there is none.
-    """
-    check_names(config)  # before an imitation run is missed, which takes minutes to make
-    if from_scratch:
-        return create_run("rl", config, folder, **existing)
-    if source is not None and source.is_file():
-        network, _ = load_weights(source)
-        if network.forces != config.forces:
-            columns, here = (len(column_names(forces)) for forces in (network.forces, config.forces))
-            remedy = "--forces" if network.forces else "--no-forces, and a variant without"
-            raise ConfigError(f"{source} reads {columns} columns, this training {here}; choose {remedy}")
-        config = replace(config, value_prior=network.value_prior)
-        weights = {"file": str(source.resolve()), "sha256": digest_of(source)}
-        return create_run("rl", config, folder, **existing, weights=weights)
-    if source is None:
-        fitting = (path for path in run_folders("il") if fits(path, config))
-        source = next(fitting, None)
-        if source is None:
-            flags = f"--preset {config.preset} --seed {config.seed}"
-            raise ConfigError(
-                f"no finished imitation run fits ({flags}, same simulation): type sfmrl il {flags}, "
-                "name a run with --from, or do without with --from-scratch"
-            )
-    imitation = open_run(source, "il")
-    if not imitation.finished:
-        raise ConfigError(unfinished(source))
-    if imitation.config.simulation != config.simulation:
-        raise ConfigError(f"the demonstrations of {source} come from another simulation; name another --from")
-    if folder is not None and folder.resolve() == source.resolve():
-        raise ConfigError(f"{folder} is the imitation run to start from; name another --run")
-    config = replace(config, imitation=imitation.config.imitation)
-    demonstrations = read_sums(source)[DEMONSTRATIONS]
-    return create_run("rl", config, folder, source, **existing, demonstrations=demonstrations)
-
-
-def fits(folder: Path, config: Config) -> bool:
-    """Whether a folder holds a finished imitation run for trainings with this config; raises DamagedFile."""
-    try:
-        run = open_run(folder, "il")
-    except DamagedFile as error:
-        raise DamagedFile(f"{error}, or name a run with --from") from None
-    except ConfigError:
-        return False
-    same = all(getattr(run.config, name) == getattr(config, name) for name in ("preset", "seed", "simulation"))
-    return run.finished and same
-
-
-def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], None]) -> Learner:
-    """The training where it was left, or at its start: after imitation, done again where reward or state differ."""
-    config, saved = run.config, run.load_checkpoint()
-    memory = make_memory(config)
-    if saved and "fit" not in saved:
-        with run.restoring():
-            network = network_from(saved["network"], "it", config.value_prior)
-            learner = Learner(network, memory, config)
-            learner.load_state_dict(saved)
-            return learner
-    if weights := run.facts.get("weights"):
-        path = Path(weights["file"])
-        if not path.is_file() or digest_of(path) != weights["sha256"]:
-            raise DamagedFile(f"{path} is not what this run began with any more; put it back, or start a new run")
-        parameters = load_weights(path)[0].state_dict()
-        return Learner(network_from(parameters, str(path), config.value_prior), memory, config)
-    fit = new_fit(config)
-    if run.imitation is None:
-        return Learner(fit.network, memory, config)
-    source = run.imitation
-    demonstrations = source / DEMONSTRATIONS
-    if not demonstrations.exists():
-        raise DamagedFile(f"{demonstrations} is not there any more; put the imitation run back, or start a new run")
-    if read_sums(source).get(DEMONSTRATIONS) != run.facts["demonstrations"]:
-        raise DamagedFile(f"{demonstrations} is not the one this run began with; start a new run from it")
-    fill_memory(memory, load_demonstrations(demonstrations, config.simulation), config)
-    network, learnt_under = load_weights(source / WEIGHTS)
-    if same_task(learnt_under, config):
-        return Learner(network, memory, config)
-
-    if saved:
-        with run.restoring():
-            fit.load_state_dict(saved["fit"])
-    reward, columns = config.reward.reward, len(column_names(config.forces))
-    again = f"learning from its demonstrations again, with reward {reward} and {columns} state columns"
-    say(f"{source} was trained with another reward or state: {again}")
-
-    def keep(row: dict[str, Any]) -> None:
-        run.save_checkpoint({"fit": fit.state_dict()})
-        if stop.requested:
-            raise Interrupted
-
-    fit_memory(fit, memory, progress, keep)
-    return Learner(fit.network, memory, config)
-
-
-def same_task(one: Config, other: Config) -> bool:
-    """Whether a network fitted under one config is what the other would have fitted to the same demonstrations."""
-    return all(
-        getattr(one, name) == getattr(other, name)
-        for name in ("forces", "discount", "value_prior", "reward", "imitation")
-    )
-
-
-def best_validation(validations: list[dict[str, Any]]) -> dict[str, Any]:
-    """The validation with the highest success; of several, the last."""
-    return max(validations, key=lambda row: (row["success"], row["episode"]))
-
-
-def due(learner: Learner, settings: Reinforcement) -> bool:
-    """Whether it is time for a validation that has not been made yet."""
-    made = bool(learner.validations) and learner.validations[-1]["episode"] == learner.episode
-    regular = learner.episode % settings.validation_interval == 0 or learner.episode >= settings.episodes
-    return regular and not made
-
-
-def summary(rates: dict[str, Any]) -> str:
-    """Metrics in a line."""
-    return ", ".join(f"{name} {rates[name]:.3f}" for name in ("success", "collision", "timeout"))
+        if episodes := next_round(learner.episode + len(record.steps)):
+            ahead = explorer.start(learner.actor, episodes)
+        loss = learner.learn(len(record.steps) * settings.batches)  # gradient descent
+        learner.advance(len(record.steps))  # renew the target network at its interval
+        yield record, loss

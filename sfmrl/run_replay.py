@@ -7,18 +7,18 @@ from typing import Any
 import numpy as np
 
 from sfmrl.config import Reward, counted
+from sfmrl.demonstrations import load_demonstrations
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.evaluation import RATES, episode_rows, evaluation_record
 from sfmrl.files import json_object, read_listed, read_table
 from sfmrl.folders import DEMONSTRATIONS, WEIGHTS
-from sfmrl.imitation import load_demonstrations
 from sfmrl.lookahead import Policy, SarlPolicy
 from sfmrl.policies import orca_policy
 from sfmrl.progress import Progress
 from sfmrl.recovery import with_recovery
-from sfmrl.reinforcement import EVALUATION_SEED
 from sfmrl.runs import Run
 from sfmrl.scenarios import sample_scenes
+from sfmrl.training import EVALUATION_SEED
 from sfmrl.weights import load_weights
 
 TIMES = 0.05  # by how much an episode's time may differ, in half of the episodes, where the bits differ

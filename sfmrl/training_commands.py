@@ -30,8 +30,8 @@ def il(
     settings: dict[str, Any],
 ) -> None:
     """Imitation: learn from ORCA's demonstrations what situations are worth."""
-    from sfmrl.imitation import imitate
     from sfmrl.runs import create_run
+    from sfmrl.training import run_imitation
 
     if resume:
         given = [variant, run, overwrite or None, go_on or None, *settings.values()]
@@ -40,7 +40,7 @@ def il(
         current = create_run("il", new_config(variant, settings), run, **existing(run, overwrite, go_on))
     if go_on and finished(current):
         return
-    train(current, lambda progress, stop: imitate(current, progress, stop))
+    train(current, lambda progress, stop: run_imitation(current, progress, stop))
     plain, made = asdict(Config()), asdict(current.config)
     needed = {name: made[name] for name in ("preset", "seed") if made[name] != plain[name]}
     needed |= {name: value for name, value in made["simulation"].items() if value != plain["simulation"][name]}
@@ -73,8 +73,8 @@ def rl(
 ) -> None:
     """Reinforcement: deep V-learning on from what imitation gave, then a test."""
     from sfmrl.drawings import hindrance
-    from sfmrl.reinforcement import reinforce, start_run
     from sfmrl.scenarios import label, sample_scenes
+    from sfmrl.training import run_reinforcement, start_run
 
     workers = use_threads(threads)
     if resume:
@@ -99,7 +99,7 @@ def rl(
         prior = "with" if current.config.value_prior else "without"
         say(f"from the network in {weights['file']}, {prior} value-prior as there")
         say_habits(Path(weights["file"]), current.config)
-    result = train(current, lambda progress, stop: reinforce(current, progress, stop, say, threads=workers))
+    result = train(current, lambda progress, stop: run_reinforcement(current, progress, stop, say, threads=workers))
     title = f"{current.folder}, environment {label(current.config.reinforcement.test_environment)}"
     print_metrics(result, f"test of {title}, the network alone")
     if "with_recovery" in result:

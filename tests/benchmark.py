@@ -27,7 +27,7 @@ from sfmrl.episodes import Record, play_episodes
 from sfmrl.evaluation import evaluation_record
 from sfmrl.exploration import Explorer, remember
 from sfmrl.fast import as_fast, kernels
-from sfmrl.imitation import demonstrate, fill_memory, fit_memory, imitate, make_memory, new_fit
+from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
 from sfmrl.learner import Learner
 from sfmrl.learning import OPTIMIZERS, learn
 from sfmrl.lookahead import SarlPolicy, available_cores
@@ -37,10 +37,10 @@ from sfmrl.planner import plan
 from sfmrl.policies import orca_policy
 from sfmrl.progress import no_progress
 from sfmrl.recovery import RecoveringPolicy
-from sfmrl.reinforcement import reinforce, start_run
 from sfmrl.runs import create_run
 from sfmrl.scenarios import Scenes, sample_scenes
 from sfmrl.stopping import StopSignal
+from sfmrl.training import run_imitation, run_reinforcement, start_run
 from sfmrl.variants import make_config
 
 console = Console(highlight=False, soft_wrap=True)
@@ -303,11 +303,11 @@ def training() -> None:
         start = time.perf_counter()
         il = create_run("il", make_config(), Path(folder) / "il")
         with StopSignal() as stop:
-            imitate(il, clock, stop)
+            run_imitation(il, clock, stop)
             taught_after = time.perf_counter() - start
             spent_before, spent = spent, {}
             rl = start_run(make_config(variant="sarl-sfm2"), il.folder, False, Path(folder) / "rl")
-            result = reinforce(rl, clock, stop, lambda text: None, threads=CORES)
+            result = run_reinforcement(rl, clock, stop, lambda text: None, threads=CORES)
             whole = time.perf_counter() - start
     for title, parts, total in (("il", spent_before, taught_after), ("rl", spent, whole - taught_after)):
         rest = total - sum(parts.values())

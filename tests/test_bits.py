@@ -20,15 +20,14 @@ from sfmrl.bits import machine_bits
 from sfmrl.config import Simulation
 from sfmrl.episodes import Record, play_episodes, returns_of
 from sfmrl.fast import new_network
-from sfmrl.imitation import imitate
 from sfmrl.learning import OPTIMIZERS, learn
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.policies import orca_policy
 from sfmrl.progress import no_progress
-from sfmrl.reinforcement import reinforce, start_run
 from sfmrl.runs import create_run
 from sfmrl.scenarios import sample_scenes
 from sfmrl.stopping import StopSignal
+from sfmrl.training import run_imitation, run_reinforcement, start_run
 from sfmrl.variants import make_config
 from sfmrl.weights import load_weights
 
@@ -82,8 +81,8 @@ def trained(targets: str) -> str:
     )
     with tempfile.TemporaryDirectory() as folder:
         source, run = Path(folder, "il"), Path(folder, "rl")
-        imitate(create_run("il", config, source), no_progress, StopSignal())
-        reinforce(start_run(config, source, False, run), no_progress, StopSignal(), lambda text: None)
+        run_imitation(create_run("il", config, source), no_progress, StopSignal())
+        run_reinforcement(start_run(config, source, False, run), no_progress, StopSignal(), lambda text: None)
         rows = (run / "metrics.csv").read_bytes()
         return digest(load_weights(run / "weights.npz")[0].flat, np.frombuffer(rows, np.uint8))
 

@@ -17,15 +17,16 @@ import pytest
 from sfmrl.cli import main
 from sfmrl.cluster import pack, put_right, unpack
 from sfmrl.config import Config, ConfigError
+from sfmrl.demonstrations import load_demonstrations
 from sfmrl.files import SUMS, DamagedFile, read_sums, write_atomically
 from sfmrl.folders import DEMONSTRATIONS, LOCK, TABLES, kind_of
-from sfmrl.imitation import imitate, load_demonstrations
 from sfmrl.policies import load_policy
 from sfmrl.progress import no_progress
 from sfmrl.results import read_row
 from sfmrl.runs import create_run, open_run
 from sfmrl.stopping import StopSignal
 from sfmrl.tables import run_folder
+from sfmrl.training import run_imitation
 from sfmrl.variants import make_config
 from sfmrl.verification import verify
 
@@ -112,7 +113,9 @@ def place(tmp_path_factory) -> Path:
     place.mkdir()
     (place / "lane.txt").write_text("R..1..G\n")
     config = make_config(imitation={"episodes": 1, "epochs": 1, "environment": "circle5"})
-    imitate(create_run("il", config, place.parent / "warm"), no_progress, StopSignal())  # imports what forks then share
+    run_imitation(
+        create_run("il", config, place.parent / "warm"), no_progress, StopSignal()
+    )  # imports what forks then share
     for name, words in (("il", IL), ("rl", RL)):
         code, operations = forked(place, command(words))
         assert code == 0, place.with_name("whole.said").read_text()

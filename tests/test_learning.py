@@ -21,8 +21,8 @@ from sfmrl.learning import OPTIMIZERS, SCHEDULES, Fit, forget, generator_state, 
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.memory import Memory
 from sfmrl.progress import no_progress
-from sfmrl.reinforcement import due
 from sfmrl.scenarios import sample_scenes
+from sfmrl.training import due
 from sfmrl.variants import make_config
 
 

@@ -16,10 +16,10 @@ from sfmrl.drawings import hindrance
 from sfmrl.planner import solvable
 from sfmrl.progress import no_progress
 from sfmrl.recovery import with_recovery
-from sfmrl.reinforcement import reinforce, start_run
 from sfmrl.runs import open_run
 from sfmrl.scenarios import elements_of
 from sfmrl.stopping import Interrupted, StopSignal
+from sfmrl.training import run_reinforcement, start_run
 from sfmrl.variants import make_config
 
 ROOM = """\
@@ -274,7 +274,7 @@ def test_an_interrupted_training_on_a_map_goes_on_from_its_folder_alone(tmp_path
     stop.requested = True
     run = start_run(config, None, True, tmp_path / "run")
     with pytest.raises(Interrupted):
-        reinforce(run, no_progress, stop, lambda text: None)
+        run_reinforcement(run, no_progress, stop, lambda text: None)
     path.unlink()
     bars = []
 
@@ -284,7 +284,7 @@ def test_an_interrupted_training_on_a_map_goes_on_from_its_folder_alone(tmp_path
         yield lambda count: bars[-1].append(bars[-1].pop() + count)
 
     said = []
-    result = reinforce(open_run(run.folder, "rl"), progress, StopSignal(), said.append)
+    result = run_reinforcement(open_run(run.folder, "rl"), progress, StopSignal(), said.append)
     assert bars == [["reinforcement", 4, 4], ["test", 2, 2], ["test", 2, 2]]  # one for the whole training
     assert [line.partition(":")[0] for line in said] == [f"validation at {episode} of 4" for episode in (0, 2, 4)]
     assert result["episodes"] == 2

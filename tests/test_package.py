@@ -52,7 +52,7 @@ LEVELS = (
         "policies",
         "episodes",
     ),
-    ("evaluation", "memory", "learning", "learner", "exploration", "runs", "imitation", "reinforcement"),
+    ("evaluation", "memory", "learning", "learner", "exploration", "imitation", "reinforcement", "runs", "demonstrations", "training"),
     ("tables", "results", "findings", "reports", "comparison", "campaign", "cluster"),
     ("canvas", "story", "timeline", "panel", "plane", "layout", "screen", "replay", "exports", "curves"),
     ("explanation", "run_replay", "verification", "doctor"),

@@ -18,16 +18,17 @@ from conftest import environment
 
 from sfmrl import __version__
 from sfmrl.config import Config, ConfigError, override
+from sfmrl.demonstrations import load_demonstrations
 from sfmrl.drawings import load_map
 from sfmrl.files import SUMS, DamagedFile, append, read_checked, read_sums, write_atomically
-from sfmrl.folders import LOCK, in_training, locked, run_folders, unfinished
+from sfmrl.folders import DEMONSTRATIONS, LOCK, in_training, locked, run_folders, unfinished
 from sfmrl.greeting import greeting
-from sfmrl.imitation import DEMONSTRATIONS, demonstrate, imitate, load_demonstrations
+from sfmrl.imitation import demonstrate
 from sfmrl.policies import WEIGHTS, load_policy
 from sfmrl.progress import no_progress
-from sfmrl.reinforcement import reinforce, start_run
 from sfmrl.runs import Run, create_run, newest_run, open_run, sole_use
 from sfmrl.stopping import Interrupted, StopSignal
+from sfmrl.training import run_imitation, run_reinforcement, start_run
 from sfmrl.variants import make_config
 from sfmrl.weights import load_weights
 
@@ -38,7 +39,7 @@ TINY = make_config(imitation={"episodes": 10, "epochs": 3}, simulation={"time_li
 def finished(tmp_path_factory) -> Path:
     """A finished imitation run; tests that damage it work on a copy."""
     run = create_run("il", TINY, tmp_path_factory.mktemp("finished") / "run")
-    imitate(run, no_progress, StopSignal())
+    run_imitation(run, no_progress, StopSignal())
     return run.folder
 
 
@@ -56,7 +57,7 @@ def interrupted(finished, tmp_path) -> Path:
     stop.requested = True
     for _ in range(3):
         with pytest.raises(Interrupted):
-            imitate(run, no_progress, stop)
+            run_imitation(run, no_progress, stop)
     return run.folder
 
 
@@ -163,7 +164,7 @@ def test_damaged_demonstrations_are_named(folder):
     with pytest.raises(DamagedFile, match=rf"{DEMONSTRATIONS} is damaged"):
         load_demonstrations(folder / DEMONSTRATIONS, TINY.simulation)
     with pytest.raises(DamagedFile, match=rf"{DEMONSTRATIONS} is damaged"):
-        imitate(open_run(folder), no_progress, StopSignal())
+        run_imitation(open_run(folder), no_progress, StopSignal())
 
 
 def test_demonstrations_are_read_as_they_were_played_also_from_a_file_of_sfmrl_0_1(folder):
@@ -269,7 +270,7 @@ def test_a_checkpoint_of_something_else_is_one_error(interrupted, finished, tmp_
     other = override(TINY, {"reward": {"reward": "sfm"}})  # so that the network is fitted again
     for run in (open_run(interrupted), start_run(other, finished, False, tmp_path / "rl")):
         run.save_checkpoint(ODD_CHECKPOINTS[what])
-        work = imitate if run.kind == "il" else partial(reinforce, say=lambda text: None)
+        work = run_imitation if run.kind == "il" else partial(run_reinforcement, say=lambda text: None)
         with pytest.raises(DamagedFile, match=r"checkpoint-\d+.npz is no checkpoint of this run"):
             work(run, no_progress, StopSignal())
 
@@ -300,15 +301,15 @@ def test_a_training_that_diverges_stops_and_names_its_learning_rate(finished, tm
     wild = {"imitation": {"optimizer": "sgd", "learning_rate": 100.0, "schedule": "constant"}}
     run = create_run("il", override(TINY, wild), tmp_path / "il")
     with pytest.raises(ConfigError, match="learning-rate 100 is likely too high for sgd"):
-        imitate(run, no_progress, StopSignal())
+        run_imitation(run, no_progress, StopSignal())
     assert not run.finished
     assert all(np.isfinite(value).all() for value in run.load_checkpoint()["fit"]["network"].values())
     reinforcement = {"episodes": 20, "parallel": 5, "overlap": False, "learning_rate": 1000.0, "optimizer": "sgd"}
     reinforcement |= {"validation_episodes": 1, "environment": "5", "test_environment": "5", "average": 0}
     run = start_run(override(TINY, {"reinforcement": reinforcement}), finished, False, tmp_path / "rl")
-    monkeypatch.setattr("sfmrl.reinforcement.CHECKPOINT_EVERY", 0.0)
+    monkeypatch.setattr("sfmrl.training.CHECKPOINT_EVERY", 0.0)
     with pytest.raises(ConfigError, match="learning-rate 1000 is likely too high for sgd"):
-        reinforce(run, no_progress, StopSignal(), lambda text: None)
+        run_reinforcement(run, no_progress, StopSignal(), lambda text: None)
     assert not run.finished
     assert run.load_checkpoint() is None  # there was none yet
 
@@ -322,7 +323,7 @@ def test_damaged_sums_are_an_error_too(folder):
 def test_a_damaged_checkpoint_can_be_gone_around_to_the_same_bits(interrupted, finished):
     run = open_run(interrupted)
     run.checkpoints()[-1].unlink()
-    imitate(run, no_progress, StopSignal())
+    run_imitation(run, no_progress, StopSignal())
     assert (run.folder / WEIGHTS).read_bytes() == (finished / WEIGHTS).read_bytes()
     assert (run.folder / "metrics.csv").read_text() == (finished / "metrics.csv").read_text()
 
@@ -332,15 +333,15 @@ def test_stopping_keeps_a_checkpoint_and_raises(tmp_path, finished):
     stop = StopSignal()
     stop.requested = True
     with pytest.raises(Interrupted):  # of demonstrations nothing is kept until all are there
-        imitate(run, no_progress, stop)
+        run_imitation(run, no_progress, stop)
     assert run.load_checkpoint() is None
     write_atomically(run.folder / DEMONSTRATIONS, (finished / DEMONSTRATIONS).read_bytes())
     for epoch in (1, 2, 3):
         with pytest.raises(Interrupted):
-            imitate(run, no_progress, stop)
+            run_imitation(run, no_progress, stop)
         assert run.load_checkpoint()["fit"]["epoch"] == epoch
         assert not run.finished
-    imitate(run, no_progress, stop)
+    run_imitation(run, no_progress, stop)
     assert (run.folder / WEIGHTS).read_bytes() == (finished / WEIGHTS).read_bytes()
 
 

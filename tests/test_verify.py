@@ -15,13 +15,12 @@ import pytest
 from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import RATES
 from sfmrl.files import csv_text, remove_checked, unlist
-from sfmrl.imitation import imitate
 from sfmrl.network import ValueNetwork
 from sfmrl.progress import no_progress
-from sfmrl.reinforcement import reinforce, start_run
 from sfmrl.run_replay import Disagreement, Replay
 from sfmrl.runs import create_run
 from sfmrl.stopping import StopSignal
+from sfmrl.training import run_imitation, run_reinforcement, start_run
 from sfmrl.variants import make_config
 from sfmrl.verification import Finding, verify
 from sfmrl.weights import load_weights, save_weights
@@ -38,9 +37,9 @@ def handed_in(tmp_path_factory) -> Path:
         | {"validation_episodes": 2, "test_episodes": 6},
     )
     il = create_run("il", config, folder / "il")
-    imitate(il, no_progress, StopSignal())
+    run_imitation(il, no_progress, StopSignal())
     rl = start_run(config, folder / "il", False, folder / "rl")
-    reinforce(rl, no_progress, StopSignal(), lambda text: None)
+    run_reinforcement(rl, no_progress, StopSignal(), lambda text: None)
     return folder
 
 

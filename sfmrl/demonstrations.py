@@ -1,0 +1,63 @@
+"""The file in which an imitation run keeps ORCA's demonstrations, as trajectories: it serves every reward and state."""
+
+import io
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+
+from sfmrl.config import Simulation
+from sfmrl.episodes import Record
+from sfmrl.files import DamagedFile, read_checked, write_atomically
+from sfmrl.geometry import length
+from sfmrl.rewards import Transition
+from sfmrl.scenarios import Scenes
+
+DERIVED = ("time_step", "goal_distance_before")  # fields of a transition that the file does not hold
+STORED = [item.name for item in fields(Transition) if item.name not in DERIVED]
+
+
+def save_demonstrations(record: Record, path: Path) -> str:
+    """Write a record's trajectories to a file, without the NaN behind each episode's end; returns its SHA-256.
+
+    What follows from them and from the simulation (`DERIVED`) is left out.
+    """
+    moments = np.arange(record.position.shape[1]) <= record.steps[:, None]
+    arrays = {f"scenes.{f.name}": getattr(record.scenes, f.name) for f in fields(Scenes)}
+    arrays |= {f"transition.{name}": getattr(record.transition, name)[record.played] for name in STORED}
+    arrays |= {"position": record.position[moments], "velocity": record.velocity[moments], "steps": record.steps}
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return write_atomically(path, buffer.getvalue())
+
+
+def load_demonstrations(path: Path, simulation: Simulation) -> Record:
+    """The record that `save_demonstrations` wrote, without rewards; raises DamagedFile, also where it is not finite."""
+    data = read_checked(path)
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+            steps = arrays["steps"]
+            scenes = Scenes(*(arrays[f"scenes.{f.name}"] for f in fields(Scenes)))
+            played = np.arange(steps.max()) < steps[:, None]
+            moments = np.arange(steps.max() + 1) <= steps[:, None]
+            stored = {name: _spread(arrays[f"transition.{name}"], played) for name in STORED}
+            position, velocity = _spread(arrays["position"], moments), _spread(arrays["velocity"], moments)
+            there = np.isfinite(scenes.start)[:, None] & moments[..., None, None]
+            parts = {name: values[played] for name, values in stored.items()}
+            parts["separations"] = np.minimum(parts["separations"], 0.0)  # infinite to absent elements
+            if not all(np.isfinite(part).all() for part in (position[there], velocity[there], *parts.values())):
+                raise ValueError("they are not finite")
+    except Exception as error:  # NumPy's reader raises whatever the bytes lead it to
+        raise DamagedFile(f"{path} does not hold demonstrations ({error}); make them again with sfmrl il") from None
+    before = np.where(played, length(position[:, :-1, 0] - scenes.goal[:, None, 0]), np.nan)
+    time_step = np.where(played, simulation.time_step, np.nan)
+    transition = Transition(**stored, time_step=time_step, goal_distance_before=before)
+    nothing = np.full(played.shape, np.nan)
+    return Record(scenes, simulation, steps, position, velocity, transition, nothing, nothing[:, 0])
+
+
+def _spread(flat: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Rows (S, ...) laid out over the true entries of `where` (E, T): (E, T, ...), NaN (0 for integers) elsewhere."""
+    full = np.full(where.shape + flat.shape[1:], np.nan if flat.dtype.kind == "f" else 0, dtype=flat.dtype)
+    full[where] = flat
+    return full
