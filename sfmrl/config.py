@@ -64,6 +64,7 @@ PAY = (-1e6, 1e6)  # range of rewards
 EPISODES = 100_000  # at once: what is recorded of all has to fit into memory
 STEPS = 100_000  # of an episode
 SEED = 2**63 - 1
+REACH = 10.0  # m, of `careful`: no environment of the paper is as large
 
 
 def counted(number: int, noun: str) -> str:
@@ -181,8 +182,7 @@ class Reinforcement(_Checked):
     """Deep V-learning; the paper's numbers, CrowdNav's where it is silent."""
 
     episodes: int = knob(10_000, "training episodes", 1, 10_000_000)
-    parallel: int = knob(1, "episodes played side by side, for speed", 1, 10_000)
-    overlap: bool = knob(False, "learn from the last episodes while the next are played (as in Mnih et al., 2016)")
+    parallel: int = knob(1, "episodes played side by side, while the last ones are learnt from; for speed", 1, 10_000)
     batches: int = knob(100, "batches of learning an episode (CrowdNav)", 0, 10_000)
     batch_size: int = knob(100, "states in a batch", 1, 100_000)
     optimizer: str = knob("sgd", "sgd (momentum 0.9) or adam (Kingma and Ba, 2015)", choices=_OPTIMIZERS)
@@ -223,13 +223,23 @@ class Config(_Checked):
     forces: bool = knob(False, "social forces in the state: 17 columns instead of 13")
     discount: float = knob(0.9, "discount per second at 1 m/s (CrowdNav's gamma)", 0, 1)
     value_prior: bool = knob(False, "write the value as 0.9^(goal distance - 0.3) (0.8 + network) (ours)")
-    collision_ends: bool = knob(False, "in looking ahead, nothing follows a collision (Sutton and Barto, 1998)")
-    avoid_traps: bool = knob(False, "pass over actions after which all collide, if it can (Fraichard and Asama, 2004)")
+    careful: bool = knob(
+        False,
+        "look ahead with care: a collision ends it, traps are avoided, what is over 10 m away is left out, and the way "
+        "is straight where nothing is left (ours)",
+    )
+    mirror: bool = knob(False, "mirror half of each batch left to right, which changes no state's value (ours)")
+    sparse: float = knob(0.0, "share of the training episodes that keep at most three people and squares (ours)", 0, 1)
     simulation: Simulation = field(default_factory=Simulation)
     reward: Reward = field(default_factory=Reward)
     planner: Planner = field(default_factory=Planner)
     imitation: Imitation = field(default_factory=Imitation)
     reinforcement: Reinforcement = field(default_factory=Reinforcement)
+
+    @property
+    def reach(self) -> float:
+        """How far away what the network sees may be, m."""
+        return REACH if self.careful else math.inf
 
     def to_json(self) -> str:
         """The whole config as indented JSON."""

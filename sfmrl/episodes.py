@@ -75,8 +75,8 @@ class Record:
         at = (episode, step)
         return World(**{**vars(start), "position": self.position[at], "velocity": self.velocity[at], "steps": step})
 
-    def states(self, forces: bool) -> np.ndarray:
-        """Robot-centred states before every step played, (S, K, F), in the order of `worlds`."""
+    def states(self, config: Config) -> np.ndarray:
+        """Robot-centred states before every step played, (S, K, F), as a config has them, in the order of `worlds`."""
         episode, step = np.nonzero(self.played)
         position, velocity = self.position[episode, step], self.velocity[episode, step]
         radius = self.scenes.radius[episode]
@@ -89,7 +89,8 @@ class Record:
             position[:, 1:],
             velocity[:, 1:],
             radius[:, 1:],
-            forces=forces,
+            forces=config.forces,
+            reach=config.reach,
         )
 
 

@@ -24,7 +24,7 @@ from sfmrl.episodes import Record, play_episodes, returns_of
 from sfmrl.fast import FastNetwork, Sizes, new_network
 from sfmrl.learner import Learner
 from sfmrl.lookahead import SarlPolicy, step_discount
-from sfmrl.scenarios import generator, sample_scenes
+from sfmrl.scenarios import generator, sample_scenes, thinned
 from sfmrl.stopping import SIGNALS, held_back
 
 Explored = tuple[Record, np.ndarray]
@@ -108,6 +108,7 @@ def explore(policy: SarlPolicy, config: Config, episodes: Sequence[int]) -> Expl
     """Play training episodes with epsilon-greedy actions; their record, and which steps (E, T) were random."""
     settings = config.reinforcement
     scenes = sample_scenes(settings.environment, episodes, config.seed, phase="train")
+    scenes = thinned(scenes, config.sparse, config.seed)
     most = config.simulation.longest
     rngs = [generator(config.seed, "exploration", episode) for episode in episodes]
     random_steps = np.array([rng.random(most) for rng in rngs]) < epsilon(settings, np.array(episodes))[:, None]
@@ -138,7 +139,7 @@ def remember(learner: Learner, record: Record, random_steps: np.ndarray) -> None
     if not len(kept):
         return
     record, random_steps = record.take(kept), random_steps[kept]
-    states, played = record.states(config.forces), record.played
+    states, played = record.states(config), record.played
     # A state's value is asked of the target network where the step before it bootstraps from it.
     asked = random_steps & played if settings.targets == "returns" else played.copy()
     asked[:, 0] = False

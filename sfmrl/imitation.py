@@ -15,14 +15,14 @@ from sfmrl.memory import Memory
 from sfmrl.policies import orca_policy
 from sfmrl.progress import Progress
 from sfmrl.rewards import reward_terms
-from sfmrl.scenarios import elements_of, generator, sample_scenes
-from sfmrl.states import OWN, column_names
+from sfmrl.scenarios import elements_of, generator, sample_scenes, thinned
 
 
 def demonstrate(config: Config, progress: Progress) -> Record:
     """Play the imitation episodes with ORCA driving the robot."""
     settings = config.imitation
     scenes = sample_scenes(settings.environment, settings.episodes, config.seed, phase="imitation")
+    scenes = thinned(scenes, config.sparse, config.seed)
     with progress("demonstrations", settings.episodes) as told:
         return play_episodes(scenes, orca_policy, config.reward, config.simulation, progress=told)
 
@@ -31,7 +31,7 @@ def make_memory(config: Config) -> Memory:
     """The memory that imitation fills and reinforcement keeps: as many elements as any of their environments has."""
     environments = config.imitation.environment, config.reinforcement.environment
     elements = max(1, *map(elements_of, environments))
-    return Memory(config.reinforcement.memory, elements, len(column_names(config.forces)), len(OWN) + 2 * config.forces)
+    return Memory(config.reinforcement.memory, elements, forces=config.forces, mirror=config.mirror)
 
 
 def fill_memory(memory: Memory, record: Record, config: Config) -> None:
@@ -41,7 +41,7 @@ def fill_memory(memory: Memory, record: Record, config: Config) -> None:
     returns = returns_of(rewards, step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation))
     if not len(record.steps):
         raise ConfigError("every demonstration ended in a time-out, and those are not learnt from; allow more time")
-    memory.push(record.states(config.forces), returns[record.played])
+    memory.push(record.states(config), returns[record.played])
 
 
 def new_fit(config: Config) -> Fit:

@@ -26,7 +26,7 @@ class Learner:
         self.target = network.copy()
         self.average = network.copy()
         # What explores: the network itself, or what it was before the batches that are being learnt meanwhile.
-        self.actor = network.copy() if config.reinforcement.overlap else network
+        self.actor = network.copy() if config.reinforcement.parallel > 1 else network
         self.optimizer = OPTIMIZERS[config.reinforcement.optimizer](network)
         self.rng = generator(config.seed, "batches")
         self.episode = self.batch = 0

@@ -16,7 +16,7 @@ from sfmrl.config import Config, ConfigError, Simulation
 from sfmrl.crowd import World, transition
 from sfmrl.fast import as_fast
 from sfmrl.rewards import COLLISION, reward_terms, total
-from sfmrl.states import robot_states
+from sfmrl.states import is_alone, robot_states
 
 BLOCK = 4  # episodes at most that are looked at together, so that what is computed stays in the processor's cache
 
@@ -46,7 +46,7 @@ class SarlPolicy:
     def __init__(self, network, config: Config, threads: int = 1) -> None:
         self.network, self.config = as_fast(network), config
         self.threads = threads
-        self.trap_steps = int(config.avoid_traps)  # how far ahead it looks for places that it could not leave
+        self.trap_steps = int(config.careful)  # how far ahead it looks for places that it could not leave
         self._terms = reward_terms(config.reward)
         self._pool = ThreadPoolExecutor(threads)
 
@@ -78,7 +78,7 @@ class SarlPolicy:
 
     def attention(self, world: World) -> np.ndarray:
         """The share of attention each element gets in the world as it is, (E, K)."""
-        return self.network.evaluate(world_states(world, self.config.forces))[1]
+        return self.network.evaluate(world_states(world, self.config))[1]
 
     def _values(
         self, world: World, crowd_velocity: np.ndarray, actions: np.ndarray, rows: slice
@@ -98,11 +98,18 @@ class SarlPolicy:
             crowd_velocity[:, None, 1:],
             world.radius[:, None, 1:],
             forces=self.config.forces,
+            reach=self.config.reach,
         )  # (e, A, K, F)
         ahead = self.network.evaluate(states)[0]
-        if self.config.collision_ends:
+        if self.config.careful:
+            ahead = np.where(is_alone(states), value_alone(self.config, step.goal_distance, world.radius[:, :1]), ahead)
             ahead = np.where(step.outcome == COLLISION, 0.0, ahead)
         return reward + step_discount(self.config.discount, world.v_pref[:, :1], world.simulation) * ahead, step.outcome
+
+
+def value_alone(config: Config, goal_distance: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """What a robot with nothing around it will be paid for going straight to its goal, `goal_distance` m away."""
+    return config.reward.success * config.discount ** np.maximum(goal_distance - radius, 0.0)
 
 
 class RememberingPolicy(SarlPolicy):
@@ -128,8 +135,8 @@ class RememberingPolicy(SarlPolicy):
         return np.array(values), np.array(outcome)
 
 
-def world_states(world: World, forces: bool) -> np.ndarray:
-    """Robot-centred states of a world, (E, K, F)."""
+def world_states(world: World, config: Config) -> np.ndarray:
+    """Robot-centred states of a world, (E, K, F), as a config has them."""
     return robot_states(
         world.position[:, 0],
         world.velocity[:, 0],
@@ -139,7 +146,8 @@ def world_states(world: World, forces: bool) -> np.ndarray:
         world.position[:, 1:],
         world.velocity[:, 1:],
         world.radius[:, 1:],
-        forces=forces,
+        forces=config.forces,
+        reach=config.reach,
     )
 
 

@@ -4,11 +4,18 @@ from typing import Any
 
 import numpy as np
 
+from sfmrl.states import OWN, column_names, mirrored_columns
+
 
 class Memory:
-    """At most `capacity` states (K, F) with a value each; those of fewer elements are filled up with absent ones."""
+    """At most `capacity` states (K, F) with a value each; those of fewer elements are filled up with absent ones.
 
-    def __init__(self, capacity: int, elements: int, columns: int, own: int) -> None:
+    With `mirror`, every other state that is taken out is mirrored left to right: it is worth as much.
+    """
+
+    def __init__(self, capacity: int, elements: int, *, forces: bool = False, mirror: bool = False) -> None:
+        columns, own = len(column_names(forces)), len(OWN) + 2 * forces
+        self.mirror = mirrored_columns(forces) if mirror else None
         self.states = np.empty((capacity, elements, columns), dtype=np.float32)
         self.values = np.empty(capacity, dtype=np.float32)
         self.own = own  # the columns from here on are the element's, and NaN where it is absent
@@ -33,7 +40,10 @@ class Memory:
 
     def take(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The states (B, K, F) and values (B,) at some indices."""
-        return self.states[rows], self.values[rows]
+        states = self.states[rows]
+        if self.mirror is not None:
+            states[::2] *= self.mirror
+        return states, self.values[rows]
 
     def state_dict(self) -> dict[str, Any]:
         """All that is stored, for a checkpoint."""

@@ -13,8 +13,8 @@ from sfmrl.learner import Learner
 def reinforce(learner: Learner, explorer: Explorer, until: int) -> Iterator[tuple[Record, float]]:
     """Train up to episode `until`; after each round of episodes yield their record and the mean loss.
 
-    With `overlap` the next round is played on another process while this one's batches are learnt. Both read only what
-    is fixed before they begin, so the numbers do not depend on which ends first.
+    A round of several episodes is played while the batches of the round before are learnt, on another process if there
+    is one. Both read only what is fixed before they begin, so the numbers do not depend on which ends first.
     """
     settings = learner.config.reinforcement
 

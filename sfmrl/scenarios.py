@@ -8,7 +8,7 @@ its outline as a polygon.
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from numbers import Integral
 
 import numpy as np
@@ -30,7 +30,7 @@ ENVIRONMENTS = {
 }
 MAP_NAMES = [f"map-{name}" for name in LAYOUTS]
 PHASES = ("train", "validation", "test", "imitation")
-STREAMS = (*PHASES, "fit", "batches", "exploration")  # everything that draws random numbers
+STREAMS = (*PHASES, "fit", "batches", "exploration", "sparse")  # everything that draws random numbers
 
 
 @dataclass(frozen=True)
@@ -199,6 +199,17 @@ def sample_scenes(
         speed[:, 1:][~builder.square[:, 1:]] = people_speed
     labels = [label(name) for name in picked]
     return Scenes(builder.start, builder.goal, RADIUS, speed, builder.square, labels, numbers)
+
+
+def thinned(scenes: Scenes, share: float, seed: int) -> Scenes:
+    """The scenes, of which a `share` keep only none to three of their people and squares; drawn by episode."""
+    start, square = scenes.start.copy(), scenes.square.copy()
+    for e, rng in enumerate(generator(seed, "sparse", number) for number in scenes.episode):
+        if rng.random() < share:
+            there = 1 + np.flatnonzero(~np.isnan(start[e, 1:, 0]))
+            gone = rng.permutation(there)[rng.integers(4) :]
+            start[e, gone], square[e, gone] = np.nan, False
+    return replace(scenes, start=start, square=square)
 
 
 def label(environment: str) -> str:

@@ -42,13 +42,14 @@ def robot_states(
     *,
     forces: bool = False,
     force: SocialForce = SocialForce(),
+    reach: float = np.inf,
 ) -> np.ndarray:
     """Robot-centred states (..., K, F) as float32, F = 13 or 17; the leading axes (...) of all inputs broadcast.
 
     The robot's `position`, `velocity`, `goal` (..., 2), `radius`, `v_pref` (...); its elements' `element_position`,
-    `element_velocity` (..., K, 2), `element_radius` (..., K); metres and m/s. Absent elements are NaN in, NaN out. With
-    nobody around (K = 0) there is one absent element, since the robot's own columns need a row to stand in. Raises
-    ValueError for other shapes.
+    `element_velocity` (..., K, 2), `element_radius` (..., K); metres and m/s. Absent elements are NaN in, NaN out;
+    elements whose centre is more than `reach` m away are left out, too. With nobody around (K = 0) there is one absent
+    element, since the robot's own columns need a row to stand in. Raises ValueError for other shapes.
     """
     position, velocity, goal = vectors("position", position), vectors("velocity", velocity), vectors("goal", goal)
     element_position = vectors("element_position", element_position)
@@ -77,6 +78,11 @@ def robot_states(
     ux, uy = element_velocity[..., 0], element_velocity[..., 1]
     vx, vy = velocity[..., 0, None], velocity[..., 1, None]
     radius = np.asarray(radius)[..., None]
+    distance = np.sqrt(dx * dx + dy * dy)
+    if np.isfinite(reach) and (distance > reach).any():
+        dx, dy, distance, ux, uy, element_radius = (
+            np.where(distance > reach, np.nan, part) for part in (dx, dy, distance, ux, uy, element_radius)
+        )
 
     columns = {
         "goal_distance": goal_distance[..., None],
@@ -90,7 +96,7 @@ def robot_states(
         "element_velocity_x": ux * cos + uy * sin,
         "element_velocity_y": uy * cos - ux * sin,
         "element_radius": element_radius,
-        "distance": np.sqrt(dx * dx + dy * dy),
+        "distance": distance,
         "radius_sum": radius + element_radius,
     }
     if forces:
@@ -106,3 +112,14 @@ def robot_states(
     for row, name in enumerate(names):
         states[row] = columns[name]
     return np.ascontiguousarray(np.moveaxis(states, 0, -1))
+
+
+def mirrored_columns(forces: bool) -> np.ndarray:
+    """What to multiply a state's columns with to mirror it left to right: -1 for those along y, else 1; (F,)."""
+    return np.where([name.endswith("_y") for name in column_names(forces)], -1, 1).astype(np.float32)
+
+
+def is_alone(states: np.ndarray) -> np.ndarray:
+    """Whether states (..., K, F) have no element in them, (...) bool."""
+    own = len(OWN) + 2 * (states.shape[-1] == len(COLUMNS_WITH_FORCES))
+    return np.isnan(states[..., own]).all(-1)

@@ -72,7 +72,7 @@ def run_reinforcement(
     learner = begin(run, progress, stop, say)
     run.write_table("metrics.csv", learner.rows)
     run.write_table("validation.csv", learner.validations)
-    aside = settings.overlap and threads > 1
+    aside = settings.parallel > 1 and threads > 1
     sizes, left = learner.network.sizes, settings.episodes - learner.episode
     with Explorer(config, threads - aside, aside, sizes) as explorer, progress("reinforcement", left) as told:
         while True:

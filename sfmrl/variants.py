@@ -15,8 +15,9 @@ PRESETS: dict[str, dict[str, Any]] = {
     "quick": {
         "preset": "quick",
         "value_prior": True,
-        "collision_ends": True,
-        "avoid_traps": True,
+        "careful": True,
+        "mirror": True,
+        "sparse": 0.1,
         "planner": {"recover": True},
         "imitation": {
             "episodes": 1000,
@@ -29,7 +30,6 @@ PRESETS: dict[str, dict[str, Any]] = {
         "reinforcement": {
             "episodes": 2000,
             "parallel": 32,
-            "overlap": True,
             "batches": 6,
             "batch_size": 200,
             "optimizer": "adam",

@@ -245,7 +245,7 @@ def episodes_of_training() -> None:
         if preset == "paper":
             config = make_config(preset, **circle, imitation={"episodes": 300, "epochs": 6})
         settings = config.reinforcement
-        learner, aside = taught(config), settings.overlap and CORES > 1
+        learner, aside = taught(config), settings.parallel > 1 and CORES > 1
         with Explorer(config, CORES - aside, aside) as explorer:
             ahead = explorer.start(learner.actor, range(parallel))
             times, steps = [], 0
@@ -259,7 +259,7 @@ def episodes_of_training() -> None:
                 times.append((time.perf_counter() - start) / parallel)
                 steps += record.steps.sum() / parallel
             ahead()
-        # The first round is not counted: with overlap, nothing has been played ahead of it.
+        # The first round is not counted: nothing has been played ahead of it.
         console.print(
             f"{preset} preset, {parallel} side by side, {settings.batches} batches of "
             f"{settings.batch_size}: {np.mean(times[1:]) * 1e3:.0f} ms an episode of {steps / len(times):.0f} steps"

@@ -17,7 +17,7 @@ import pytest
 from conftest import DATA
 
 from sfmrl.bits import machine_bits
-from sfmrl.config import Simulation
+from sfmrl.config import Config, Simulation
 from sfmrl.episodes import Record, play_episodes, returns_of
 from sfmrl.fast import new_network
 from sfmrl.learning import OPTIMIZERS, learn
@@ -55,13 +55,13 @@ def played() -> str:
     config = make_config("quick", "sarl-sfm2", simulation=SHORT)
     policy = SarlPolicy(new_network(config, seed=5), config)
     record = play_episodes(sample_scenes("table1", 8), policy, config.reward, config.simulation)
-    return digest(record.position, record.reward, policy.network.evaluate(record.states(config.forces))[0])
+    return digest(record.position, record.reward, policy.network.evaluate(record.states(config))[0])
 
 
 def descended(optimizer: str) -> str:
     """Forty steps of descent on states of ORCA's episodes and their returns."""
     record = orca_record("1", **LONG)
-    states = record.states(forces=False)
+    states = record.states(Config())
     values = returns_of(record.reward, np.full(8, 0.974))[record.played].astype(np.float32)
     network = new_network(CONFIG, seed=3)
     steps, rng, losses = OPTIMIZERS[optimizer](network), np.random.default_rng(0), []

@@ -191,7 +191,7 @@ def test_any_time_step_and_limit_end_in_a_timeout(time_limit, time_step):
 
 def test_a_record_s_worlds_and_states_are_those_before_each_step():
     record = play(sample_scenes("table1", 5, seed=3), "orca")
-    worlds, states = record.worlds(), record.states(forces=True)
+    worlds, states = record.worlds(), record.states(Config(forces=True))
     assert len(worlds) == len(states) == record.steps.sum() == record.played.sum()
     episode, step = np.nonzero(record.played)
     s = int(np.flatnonzero((episode == 2) & (step == 9))[0])
@@ -200,7 +200,7 @@ def test_a_record_s_worlds_and_states_are_those_before_each_step():
     to_goal = record.scenes.goal[2, 0] - record.position[2, 9, 0]
     assert states[s, 0, 0] == pytest.approx(np.hypot(*to_goal))
     part = record.take(np.array([2]))
-    np.testing.assert_array_equal(part.states(forces=True), states[episode == 2])
+    np.testing.assert_array_equal(part.states(Config(forces=True)), states[episode == 2])
 
 
 def test_progress_hears_of_every_episode():

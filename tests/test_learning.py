@@ -22,6 +22,7 @@ from sfmrl.lookahead import SarlPolicy
 from sfmrl.memory import Memory
 from sfmrl.progress import no_progress
 from sfmrl.scenarios import sample_scenes
+from sfmrl.states import robot_states
 from sfmrl.training import due
 from sfmrl.variants import make_config
 
@@ -96,11 +97,11 @@ def test_forgetting_spares_denormal_numbers_and_changes_no_parameter(name):
 @settings(max_examples=100)
 @given(st.integers(1, 12), st.lists(st.integers(0, 15), max_size=8))
 def test_memory_keeps_the_newest_as_a_deque_does(capacity, pushes):
-    memory, expected = Memory(capacity, 1, 3, own=2), deque(maxlen=capacity)
+    memory, expected = Memory(capacity, 1), deque(maxlen=capacity)
     number = 0
     for count in pushes:
         values = np.arange(number, number + count, dtype=np.float32)
-        states = np.repeat(values, 3).reshape(count, 1, 3)
+        states = np.repeat(values, 13).reshape(count, 1, 13)
         memory.push(states, values)
         expected.extend(values.tolist())
         number += count
@@ -111,7 +112,7 @@ def test_memory_keeps_the_newest_as_a_deque_does(capacity, pushes):
 
 
 def test_memory_fills_up_with_absent_elements_that_change_no_value():
-    memory, network = Memory(10, 5, 13, own=6), plain_network()
+    memory, network = Memory(10, 5), plain_network()
     states, values = random_batch(3)
     states[..., :6] = states[:, :1, :6]
     memory.push(states, values)
@@ -121,15 +122,34 @@ def test_memory_fills_up_with_absent_elements_that_change_no_value():
 
 
 def test_memory_goes_on_from_what_it_saved():
-    one = Memory(5, 3, 13, own=6)
+    one = Memory(5, 3)
     for seed in range(3):
         one.push(*random_batch(seed, count=3))
-    other = Memory(5, 3, 13, own=6)
+    other = Memory(5, 3)
     other.load_state_dict(one.state_dict())
     for memory in (one, other):
         memory.push(*random_batch(9, count=2))
     for a, b in zip(one.take(np.arange(5)), other.take(np.arange(5)), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("forces", [False, True])
+def test_every_other_state_of_a_batch_is_that_of_the_mirrored_world(forces):
+    rng = np.random.default_rng(2)
+    position, velocity = rng.normal(0, 3, (2, 8, 4, 2))
+    goal = rng.normal(0, 3, (8, 2))
+
+    def states_of(sign: list[float]) -> np.ndarray:
+        robot = (position[:, 0] * sign, velocity[:, 0] * sign, goal * sign, 0.3, 1.0)
+        return robot_states(*robot, position[:, 1:] * sign, velocity[:, 1:] * sign, np.full((8, 3), 0.3), forces=forces)
+
+    plain, other = states_of([1.0, 1.0]), states_of([1.0, -1.0])
+    memory = Memory(8, 3, forces=forces, mirror=True)
+    memory.push(plain, np.zeros(8))
+    taken, _ = memory.take(np.arange(8))
+    np.testing.assert_allclose(taken[::2], other[::2], atol=1e-5)
+    np.testing.assert_array_equal(taken[1::2], plain[1::2])
+    np.testing.assert_array_equal(memory.states, plain)
 
 
 def test_a_generator_s_state_goes_through_text():
@@ -147,7 +167,7 @@ def test_an_epoch_takes_every_state_once_in_another_order_each_time(monkeypatch)
         return 0.0
 
     monkeypatch.setattr("sfmrl.learning.learn", note)
-    memory = Memory(25, 3, 13, own=6)
+    memory = Memory(25, 3)
     states, _ = random_batch(0, count=25)
     memory.push(states, np.arange(25, dtype=np.float32))
     fit = Fit(plain_network(), Imitation(batch_size=10, epochs=2), np.random.default_rng(0))
@@ -190,7 +210,7 @@ def test_targets_equal_a_naive_loop(targets, keep_timeouts):
     for e, steps in enumerate(record.steps):
         if record.outcome[e] == "timeout" and not keep_timeouts:
             continue
-        states = record.take(np.array([e])).states(False)
+        states = record.take(np.array([e])).states(config)
         value = learner.target.evaluate(states)[0]
         for t in range(steps):
             goal, factor = 0.0, 1.0
@@ -206,7 +226,7 @@ def test_targets_equal_a_naive_loop(targets, keep_timeouts):
     states, values = learner.memory.take(np.arange(len(learner.memory)))
     np.testing.assert_allclose(values, expected, rtol=1e-5, atol=1e-6)
     kept = record.take(np.flatnonzero(keep_timeouts | (record.outcome != "timeout")))
-    np.testing.assert_array_equal(states, kept.states(False))
+    np.testing.assert_array_equal(states, kept.states(config))
 
 
 def test_demonstrations_enter_with_their_own_returns_and_without_timeouts():

@@ -32,7 +32,7 @@ ROOM = """\
 #..a........#
 #############
 """
-TINY = ["--episodes", "4", "--parallel", "2", "--no-overlap", "--batches", "1", "--batch-size", "8", "--memory", "500"]
+TINY = ["--episodes", "4", "--parallel", "2", "--batches", "1", "--batch-size", "8", "--memory", "500"]
 TINY += ["--validation-episodes", "2", "--test-episodes", "2", "--time-limit", "4", "--threads", "1"]
 
 
@@ -266,7 +266,7 @@ def test_a_training_on_a_map_has_the_map_in_its_folder(sfmrl: Callable, tmp_path
 def test_an_interrupted_training_on_a_map_goes_on_from_its_folder_alone(tmp_path: Path):
     path = tmp_path / "m.txt"
     path.write_text("R..G\n#...\n")
-    schedule = {"episodes": 4, "parallel": 2, "overlap": False, "batches": 1, "batch_size": 8, "memory": 500}
+    schedule = {"episodes": 4, "parallel": 2, "batches": 1, "batch_size": 8, "memory": 500}
     schedule |= {"environment": load_map(path), "test_environment": load_map(path)}
     schedule |= {"validation_interval": 2, "validation_episodes": 2, "test_episodes": 2}
     config = make_config(simulation={"time_limit": 4.0}, reinforcement=schedule)

@@ -1,6 +1,7 @@
 """Policies beyond what playing shows: the 81 actions, and passing over actions that lead into a trap."""
 
 import numpy as np
+import pytest
 from conftest import DATA
 
 from sfmrl.actions import ACTIONS, best_untrapped
@@ -54,14 +55,33 @@ def test_the_best_action_that_is_no_trap_is_found_wherever_there_is_one():
     assert kept > 0
 
 
-def test_traps_are_avoided_by_the_policy_only_when_the_config_says_so():
+def test_nothing_follows_a_collision_and_traps_are_avoided_only_when_the_config_says_so():
     world, network = crowded(40, seed=3), ValueNetwork()
     moves = crowd_velocities(world)
     bold = SarlPolicy(network, Config()).lookahead(world, moves)
-    wary = SarlPolicy(network, Config(avoid_traps=True)).lookahead(world, moves)
-    np.testing.assert_array_equal(bold.values, wary.values)
+    careful = SarlPolicy(network, Config(careful=True)).lookahead(world, moves)
+    hit = transition(world, bold.actions).outcome == COLLISION
+    assert hit.any()
+    np.testing.assert_array_equal(bold.values[~hit], careful.values[~hit])
+    np.testing.assert_array_equal(careful.values[hit], -0.25)
     np.testing.assert_array_equal(bold.best, bold.values.argmax(1))
-    assert (bold.best != wary.best).any()
+    assert (careful.best != careful.values.argmax(1)).any()
+
+
+@pytest.mark.parametrize("far", [np.zeros((0, 2)), np.array([[30.0, 0.0], [0.0, -25.0]])])
+@pytest.mark.parametrize("forces", [False, True])
+def test_a_robot_with_nothing_within_reach_goes_straight_whatever_its_network(far, forces):
+    """Eight headings, three distances; an untrained network, which would wander."""
+    angle, distance = np.meshgrid(np.arange(8) * np.pi / 4, [4.0, 8.0, 12.0])
+    goal = (distance * np.stack((np.cos(angle), np.sin(angle)))).reshape(2, 24, 1).transpose(1, 2, 0)
+    start = np.concatenate((np.zeros((24, 1, 2)), np.tile(far, (24, 1, 1))), axis=1)
+    goal = np.concatenate((goal, start[:, 1:]), axis=1)
+    scenes = Scenes(start, goal, v_pref=np.r_[1.0, np.zeros(len(far))])
+    policy = SarlPolicy(ValueNetwork(forces=forces), Config(careful=True, forces=forces))
+    record = play(scenes, policy)
+    assert (record.outcome == "success").all()
+    straight = np.ceil((distance.ravel() - 0.3) / 0.25) * 0.25  # s at 1 m/s
+    assert (record.time <= 1.15 * straight).all()
 
 
 def test_linear_walks_at_v_pref_up_to_its_goal_as_crowdnav_s_does():

@@ -78,7 +78,7 @@ def test_an_episode_has_the_same_bits_alone_and_in_a_batch(crowd):
 
 
 def test_recovery_is_put_on_and_taken_off_and_leaves_the_network_as_it_was():
-    policy = SarlPolicy(ValueNetwork(), Config(avoid_traps=True))
+    policy = SarlPolicy(ValueNetwork(), Config(careful=True))
     helped = with_recovery(policy, ON)
     assert isinstance(helped, RecoveringPolicy)
     assert helped.network is policy.network
@@ -89,7 +89,7 @@ def test_recovery_is_put_on_and_taken_off_and_leaves_the_network_as_it_was():
 
 
 def test_a_test_with_recovery_takes_from_the_one_without_what_both_have_in_common(monkeypatch):
-    scenes, config = sample_scenes("1:0.5,2:0.5", 8, seed=3), Config(avoid_traps=True)
+    scenes, config = sample_scenes("1:0.5,2:0.5", 8, seed=3), Config(careful=True)
     judged = []
     whole = SarlPolicy.judge
     monkeypatch.setattr(

@@ -304,7 +304,7 @@ def test_a_training_that_diverges_stops_and_names_its_learning_rate(finished, tm
         run_imitation(run, no_progress, StopSignal())
     assert not run.finished
     assert all(np.isfinite(value).all() for value in run.load_checkpoint()["fit"]["network"].values())
-    reinforcement = {"episodes": 20, "parallel": 5, "overlap": False, "learning_rate": 1000.0, "optimizer": "sgd"}
+    reinforcement = {"episodes": 20, "parallel": 5, "learning_rate": 1000.0, "optimizer": "sgd"}
     reinforcement |= {"validation_episodes": 1, "environment": "5", "test_environment": "5", "average": 0}
     run = start_run(override(TINY, {"reinforcement": reinforcement}), finished, False, tmp_path / "rl")
     monkeypatch.setattr("sfmrl.training.CHECKPOINT_EVERY", 0.0)

@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 
 from sfmrl.config import ConfigError
 from sfmrl.geometry import length
-from sfmrl.scenarios import ENVIRONMENTS, Scenes, parse_mix, sample_scenes
+from sfmrl.scenarios import ENVIRONMENTS, Scenes, parse_mix, sample_scenes, thinned
 
 EPISODES = 300
 PAPER = ("1", "2", "3", "4", "5")
@@ -343,3 +343,17 @@ def test_layouts_have_people_clear_of_squares_and_come_in_turn():
         np.testing.assert_allclose(scenes.goal[e, walkers][1:], -scenes.start[e, walkers][1:])
     again = sample_scenes("map-room", [12], seed=1)
     np.testing.assert_array_equal(again.start[0, : len(again.start[0])], scenes.start[12, : again.start.shape[1]])
+
+
+def test_thinned_scenes_keep_none_to_three_of_their_elements_as_they_were():
+    whole = sample_scenes("table1", 400)
+    thin = thinned(whole, 0.5, seed=3)
+    before, after = (~np.isnan(scenes.start[:, 1:, 0]) for scenes in (whole, thin))
+    changed = (before != after).any(1)
+    assert 0.4 < changed.mean() < 0.6
+    np.testing.assert_array_equal(np.unique(after[changed].sum(1)), [0, 1, 2, 3])
+    assert not (after & ~before).any()
+    np.testing.assert_array_equal(thin.start[:, 1:][after], whole.start[:, 1:][after])
+    np.testing.assert_array_equal(thin.square[:, 1:], whole.square[:, 1:] & after)
+    again = thinned(whole.take([7, 300]), 0.5, seed=3)
+    np.testing.assert_array_equal(again.start, thin.start[[7, 300]])

@@ -163,3 +163,20 @@ def test_nobody_around_is_one_absent_element(forces):
     np.testing.assert_allclose(column(states, "goal_distance", forces)[:, 0], distance, rtol=1e-6)
     if forces:
         assert (column(states, "resultant_x", forces) == 0).all()
+
+
+def test_elements_out_of_reach_are_as_if_they_were_not_there():
+    rng = np.random.default_rng(1)
+    position, velocity = rng.uniform(-12, 12, (2, 50, 6, 2))
+    robot, moving, goal = rng.uniform(-4, 4, (3, 50, 2))
+    near = np.hypot(*(position - robot[:, None]).T).T <= 10.0
+    assert 0 < near.sum() < near.size
+    kept = np.where(near[..., None], position, np.nan)
+    for forces in (False, True):
+        rest = (moving, goal, 0.3, 1.0)
+        cut = robot_states(robot, *rest, position, velocity, np.full((50, 6), 0.3), forces=forces, reach=10.0)
+        whole = robot_states(robot, *rest, kept, velocity, np.full((50, 6), 0.3), forces=forces)
+        own = 6 + 2 * forces
+        assert np.isnan(cut[~near][:, own:]).all()
+        np.testing.assert_array_equal(cut[near], whole[near])
+        np.testing.assert_array_equal(cut[..., :own], whole[..., :own])
