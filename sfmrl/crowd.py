@@ -174,37 +174,41 @@ CROWDS = {"orca": orca_crowd, "sfm": sfm_crowd}
 
 def transition(world: World, action: np.ndarray) -> Transition:
     """What the step would be in which the robot moves with `action`, (E, 2) or many at once, (E, A, 2), in m/s."""
-    simulation = world.simulation
+    dt, longest = world.simulation.time_step, world.simulation.longest
     many = (slice(None),) + (None,) * (action.ndim - 2)  # puts the axis of the actions into the world's arrays
     robot, goal = world.position[:, 0][many], world.goal[:, 0][many]
+    separations = smallest_gaps(world, action)  # (E, A, K)
+    before, after = length(robot - goal), length(robot + action * dt - goal)
+    late = (world.steps >= longest - 1)[many]
+    hit, there = separations.min(axis=-1, initial=np.inf) < 0, after < world.radius[:, 0][many]
+    outcome = np.where(late, TIMEOUT, np.where(hit, COLLISION, np.where(there, SUCCESS, RUNNING)))
+    preferred = direction(goal - robot) * world.v_pref[:, 0][many][..., None]
+    return Transition(
+        time=np.broadcast_to((world.time + dt)[many], outcome.shape),
+        time_step=np.broadcast_to(dt, outcome.shape),
+        velocity=action,
+        preferred_velocity=np.broadcast_to(preferred, action.shape),
+        goal_distance_before=np.broadcast_to(before, outcome.shape),
+        goal_distance=after,
+        separations=separations,
+        outcome=outcome,
+    )
+
+
+def smallest_gaps(world: World, action: np.ndarray) -> np.ndarray:
+    """The smallest gap to each element in a step with `action` (E, 2) or (E, A, 2): (E, K) or (E, A, K) m.
+
+    Negative in a collision, +inf to absent elements.
+    """
+    many = (slice(None),) + (None,) * (action.ndim - 2)
     # Components first in memory: the same operations then run through long rows.
     position, velocity = (np.ascontiguousarray(part.transpose(2, 0, 1)) for part in (world.position, world.velocity))
     offset = (position[:, :, 1:] - position[:, :, :1])[:, *many]
     relative_velocity = velocity[:, :, 1:][:, *many] - action.transpose(-1, *range(action.ndim - 1))[..., None]
-    half, radius = world.shape
-    radii = (radius[:, 1:] + radius[:, :1])[many]
     apart, moving = (part.transpose(*range(1, part.ndim), 0) for part in (offset, relative_velocity))
-    gap = closest_approach(apart, moving, simulation.time_step, half[:, 1:][many])
-    separations = np.fmin(gap - radii, np.inf)  # where there is nobody, too
-
-    goal_distance = length(robot + action * simulation.time_step - goal)
-    hit = separations.min(axis=-1, initial=np.inf) < 0
-    there = goal_distance < world.radius[:, 0][many]
-    late = (world.steps >= simulation.longest - 1)[many]
-    outcome = np.where(late, TIMEOUT, np.where(hit, COLLISION, np.where(there, SUCCESS, RUNNING)))
-    time, preferred = world.time + simulation.time_step, direction(goal - robot) * world.v_pref[:, 0][many][..., None]
-    if many[1:]:
-        time, preferred = np.broadcast_to(time[many], outcome.shape), np.broadcast_to(preferred, action.shape)
-    return Transition(
-        time=time,
-        time_step=np.broadcast_to(simulation.time_step, outcome.shape),
-        velocity=action,
-        preferred_velocity=preferred,
-        goal_distance_before=np.broadcast_to(length(robot - goal), outcome.shape),
-        goal_distance=goal_distance,
-        separations=separations,
-        outcome=outcome,
-    )
+    half, radius = world.shape
+    gap = closest_approach(apart, moving, world.simulation.time_step, half[:, 1:][many])
+    return np.fmin(gap - (radius[:, 1:] + radius[:, :1])[many], np.inf)  # where there is nobody, too
 
 
 def advance(world: World, velocity: np.ndarray, action: np.ndarray) -> World:
