@@ -209,7 +209,10 @@ def fits(folder: Path, config: Config) -> bool:
 
 
 def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], None]) -> Learner:
-    """The training where it was left, or at its start: after imitation, done again where reward or state differ."""
+    """The training where it was left, or at its start: the imitation run's network, fitted anew to another state.
+
+    The demonstrations are remembered with the returns that this training's reward gives them.
+    """
     config, saved = run.config, run.load_checkpoint()
     memory = make_memory(config)
     if saved and "fit" not in saved:
@@ -235,15 +238,14 @@ def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], N
         raise DamagedFile(f"{demonstrations} is not the one this run began with; start a new run from it")
     fill_memory(memory, load_demonstrations(demonstrations, config.simulation), config)
     network, learnt_under = load_weights(source / WEIGHTS)
-    if same_task(learnt_under, config):
+    if (learnt_under.forces, learnt_under.value_prior) == (config.forces, config.value_prior):
         return Learner(network, memory, config)
 
     if saved:
         with run.restoring():
             fit.load_state_dict(saved["fit"])
-    reward, columns = config.reward.reward, len(column_names(config.forces))
-    again = f"learning from its demonstrations again, with reward {reward} and {columns} state columns"
-    say(f"{source} was trained with another reward or state: {again}")
+    columns = len(column_names(config.forces))
+    say(f"{source} was trained with another state: learning from its demonstrations again, with {columns} columns")
 
     def keep(row: dict[str, Any]) -> None:
         run.save_checkpoint({"fit": fit.state_dict()})
@@ -252,14 +254,6 @@ def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], N
 
     fit_memory(fit, memory, progress, keep)
     return Learner(fit.network, memory, config)
-
-
-def same_task(one: Config, other: Config) -> bool:
-    """Whether a network fitted under one config is what the other would have fitted to the same demonstrations."""
-    return all(
-        getattr(one, name) == getattr(other, name)
-        for name in ("forces", "discount", "value_prior", "reward", "imitation")
-    )
 
 
 def best_validation(validations: list[dict[str, Any]]) -> dict[str, Any]:
