@@ -19,7 +19,7 @@ from sfmrl.own_code import checked_array, fault, is_write, kind, name_of, read_o
 from sfmrl.policies import find_policy
 from sfmrl.rewards import OUTCOMES, RUNNING, OwnReward, Terms, Transition, as_reward, reward_terms, total
 from sfmrl.scenarios import Scenes
-from sfmrl.states import robot_states
+from sfmrl.states import elements_within, robot_states
 
 BATCH = 256  # episodes side by side, where a policy does not name another number
 TOLERANCE = 1e-4  # m/s by which a policy may exceed v_pref: ORCA computes in float32
@@ -86,11 +86,10 @@ class Record:
             self.scenes.goal[episode, 0],
             radius[:, 0],
             self.scenes.v_pref[episode, 0],
-            position[:, 1:],
+            elements_within(config.reach, position),
             velocity[:, 1:],
             radius[:, 1:],
             forces=config.forces,
-            reach=config.reach,
         )
 
 

@@ -16,7 +16,7 @@ from sfmrl.config import Config, ConfigError, Simulation
 from sfmrl.crowd import World, transition
 from sfmrl.fast import as_fast
 from sfmrl.rewards import COLLISION, reward_terms, total
-from sfmrl.states import is_alone, robot_states
+from sfmrl.states import elements_within, is_alone, robot_states
 
 BLOCK = 4  # episodes at most that are looked at together, so that what is computed stays in the processor's cache
 
@@ -94,11 +94,10 @@ class SarlPolicy:
             world.goal[:, :1],
             world.radius[:, :1],
             world.v_pref[:, :1],
-            (world.position + crowd_velocity * dt)[:, None, 1:],
+            (elements_within(self.config.reach, world.position) + crowd_velocity[:, 1:] * dt)[:, None],
             crowd_velocity[:, None, 1:],
             world.radius[:, None, 1:],
             forces=self.config.forces,
-            reach=self.config.reach,
         )  # (e, A, K, F)
         ahead = self.network.evaluate(states)[0]
         if self.config.careful:
@@ -143,11 +142,10 @@ def world_states(world: World, config: Config) -> np.ndarray:
         world.goal[:, 0],
         world.radius[:, 0],
         world.v_pref[:, 0],
-        world.position[:, 1:],
+        elements_within(config.reach, world.position),
         world.velocity[:, 1:],
         world.radius[:, 1:],
         forces=config.forces,
-        reach=config.reach,
     )
 
 

@@ -8,7 +8,7 @@ it belongs to robots that cannot move sideways, which are left out.
 import numpy as np
 
 from sfmrl.config import SocialForce
-from sfmrl.geometry import numbers, vectors
+from sfmrl.geometry import length, numbers, vectors
 from sfmrl.sfm import repulsive_forces, resultant
 
 OWN = ("goal_distance", "v_pref", "theta", "radius", "velocity_x", "velocity_y")
@@ -42,14 +42,13 @@ def robot_states(
     *,
     forces: bool = False,
     force: SocialForce = SocialForce(),
-    reach: float = np.inf,
 ) -> np.ndarray:
     """Robot-centred states (..., K, F) as float32, F = 13 or 17; the leading axes (...) of all inputs broadcast.
 
     The robot's `position`, `velocity`, `goal` (..., 2), `radius`, `v_pref` (...); its elements' `element_position`,
-    `element_velocity` (..., K, 2), `element_radius` (..., K); metres and m/s. Absent elements are NaN in, NaN out;
-    elements whose centre is more than `reach` m away are left out, too. With nobody around (K = 0) there is one absent
-    element, since the robot's own columns need a row to stand in. Raises ValueError for other shapes.
+    `element_velocity` (..., K, 2), `element_radius` (..., K); metres and m/s. Absent elements are NaN in, NaN out. With
+    nobody around (K = 0) there is one absent element, since the robot's own columns need a row to stand in. Raises
+    ValueError for other shapes.
     """
     position, velocity, goal = vectors("position", position), vectors("velocity", velocity), vectors("goal", goal)
     element_position = vectors("element_position", element_position)
@@ -78,11 +77,6 @@ def robot_states(
     ux, uy = element_velocity[..., 0], element_velocity[..., 1]
     vx, vy = velocity[..., 0, None], velocity[..., 1, None]
     radius = np.asarray(radius)[..., None]
-    distance = np.sqrt(dx * dx + dy * dy)
-    if np.isfinite(reach) and (distance > reach).any():
-        dx, dy, distance, ux, uy, element_radius = (
-            np.where(distance > reach, np.nan, part) for part in (dx, dy, distance, ux, uy, element_radius)
-        )
 
     columns = {
         "goal_distance": goal_distance[..., None],
@@ -96,7 +90,7 @@ def robot_states(
         "element_velocity_x": ux * cos + uy * sin,
         "element_velocity_y": uy * cos - ux * sin,
         "element_radius": element_radius,
-        "distance": distance,
+        "distance": np.sqrt(dx * dx + dy * dy),
         "radius_sum": radius + element_radius,
     }
     if forces:
@@ -112,6 +106,15 @@ def robot_states(
     for row, name in enumerate(names):
         states[row] = columns[name]
     return np.ascontiguousarray(np.moveaxis(states, 0, -1))
+
+
+def elements_within(reach: float, position: np.ndarray) -> np.ndarray:
+    """Positions of the elements (..., K, 2), NaN where more than `reach` m from the robot, row 0 of `position`."""
+    elements = position[..., 1:, :]
+    if reach == np.inf:
+        return elements
+    near = length(elements - position[..., :1, :]) <= reach
+    return np.where(near[..., None], elements, np.nan)
 
 
 def mirrored_columns(forces: bool) -> np.ndarray:

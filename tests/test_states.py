@@ -8,7 +8,14 @@ from hypothesis import strategies as st
 
 from sfmrl.config import SocialForce
 from sfmrl.sfm import repulsive_forces
-from sfmrl.states import COLUMNS, COLUMNS_WITH_FORCES, column_names, robot_states
+from sfmrl.states import (
+    COLUMNS,
+    COLUMNS_WITH_FORCES,
+    column_names,
+    elements_within,
+    is_alone,
+    robot_states,
+)
 
 
 def random_scene(seed: int, elements: int = 4, episodes: int = 3) -> dict[str, np.ndarray]:
@@ -166,17 +173,13 @@ def test_nobody_around_is_one_absent_element(forces):
 
 
 def test_elements_out_of_reach_are_as_if_they_were_not_there():
-    rng = np.random.default_rng(1)
-    position, velocity = rng.uniform(-12, 12, (2, 50, 6, 2))
-    robot, moving, goal = rng.uniform(-4, 4, (3, 50, 2))
-    near = np.hypot(*(position - robot[:, None]).T).T <= 10.0
-    assert 0 < near.sum() < near.size
-    kept = np.where(near[..., None], position, np.nan)
-    for forces in (False, True):
-        rest = (moving, goal, 0.3, 1.0)
-        cut = robot_states(robot, *rest, position, velocity, np.full((50, 6), 0.3), forces=forces, reach=10.0)
-        whole = robot_states(robot, *rest, kept, velocity, np.full((50, 6), 0.3), forces=forces)
-        own = 6 + 2 * forces
-        assert np.isnan(cut[~near][:, own:]).all()
-        np.testing.assert_array_equal(cut[near], whole[near])
-        np.testing.assert_array_equal(cut[..., :own], whole[..., :own])
+    position = np.array([[[1.0, 0.0], [1.0, 10.0], [-9.1, 0.0], [np.nan, np.nan]]])
+    np.testing.assert_array_equal(elements_within(np.inf, position), position[:, 1:])
+    expected = [[[1.0, 10.0], [np.nan, np.nan], [np.nan, np.nan]]]
+    np.testing.assert_array_equal(elements_within(10.0, position), expected)
+    states = robot_states(
+        [[1, 0]], [[0, 0]], [[1, 4]], [0.3], [1.0], expected, np.zeros((1, 3, 2)), np.full((1, 3), 0.3)
+    )
+    np.testing.assert_array_equal(np.isnan(states[..., 6]), [[False, True, True]])
+    np.testing.assert_array_equal(is_alone(states), [False])
+    np.testing.assert_array_equal(is_alone(states[:, 1:]), [True])
