@@ -160,10 +160,6 @@ class Planner(_Checked):
     )
 
 
-_OPTIMIZERS = ("sgd", "adam")
-_SCHEDULES = ("constant", "linear", "one-cycle")
-
-
 @dataclass(frozen=True)
 class Imitation(_Checked):
     """Learning from ORCA's demonstrations; the paper's numbers."""
@@ -171,9 +167,7 @@ class Imitation(_Checked):
     episodes: int = knob(3000, "demonstrations by ORCA", 1, EPISODES)
     epochs: int = knob(50, "passes over the demonstrations", 1, 10_000)
     batch_size: int = knob(100, "states in a batch", 1, 100_000)
-    optimizer: str = knob("sgd", "sgd (momentum 0.9) or adam (Kingma and Ba, 2015)", choices=_OPTIMIZERS)
     learning_rate: float = knob(0.01, "learning rate", 0, 1000)
-    schedule: str = knob("constant", "course of the learning rate (one-cycle: Smith, 2017)", choices=_SCHEDULES)
     environment: str = knob("1", "environments of the demonstrations")
 
 
@@ -185,21 +179,18 @@ class Reinforcement(_Checked):
     parallel: int = knob(1, "episodes played side by side, while the last ones are learnt from; for speed", 1, 10_000)
     batches: int = knob(100, "batches of learning an episode (CrowdNav)", 0, 10_000)
     batch_size: int = knob(100, "states in a batch", 1, 100_000)
-    optimizer: str = knob("sgd", "sgd (momentum 0.9) or adam (Kingma and Ba, 2015)", choices=_OPTIMIZERS)
     learning_rate: float = knob(0.001, "learning rate", 0, 1000)
-    schedule: str = knob("constant", "course of the learning rate (one-cycle: Smith, 2017)", choices=_SCHEDULES)
     epsilon_start: float = knob(0.5, "share of random actions at the start (CrowdNav)", 0, 1)
     epsilon_end: float = knob(0.1, "share of random actions in the end (CrowdNav)", 0, 1)
     epsilon_episodes: int = knob(4000, "episodes from the first share to the last (CrowdNav)", 1, 10_000_000)
     targets: str = knob(
         "td",
         "learn td, the reward plus the target's next value, or returns, all that followed up to the next random action "
-        "(Watkins, 1989)",
+        "(Watkins, 1989); td drops time-outs, as CrowdNav",
         choices=("td", "returns"),
     )
     target_interval: int = knob(50, "episodes between updates of the target network (CrowdNav)", 1, 10_000_000)
     memory: int = knob(100_000, "states kept to learn from (CrowdNav)", 1, 10_000_000)
-    keep_timeouts: bool = knob(False, "learn from time-outs too, as worth 0 at their end (ours; CrowdNav drops them)")
     average: int = knob(
         0, "number of batches over which the tested weights are averaged (Polyak, 1992); 0: off", 0, 10_000_000
     )
@@ -227,6 +218,11 @@ class Config(_Checked):
         False,
         "look ahead with care: a collision ends it, traps are avoided, what is over 10 m away is left out, and the way "
         "is straight where nothing is left (ours)",
+    )
+    optimizer: str = knob(
+        "sgd",
+        "sgd: momentum 0.9, constant learning rate; adam (Kingma and Ba, 2015): the rate falls to 0 in a straight line",
+        choices=("sgd", "adam"),
     )
     mirror: bool = knob(False, "mirror half of each batch left to right, which changes no state's value (ours)")
     sparse: float = knob(0.0, "share of the training episodes that keep at most three people and squares (ours)", 0, 1)

@@ -135,7 +135,7 @@ def epsilon(settings: Reinforcement, episode: np.ndarray) -> np.ndarray:
 def remember(learner: Learner, record: Record, random_steps: np.ndarray) -> None:
     """Store the states of a record with the values to learn for them."""
     config, settings = learner.config, learner.config.reinforcement
-    kept = np.flatnonzero((record.outcome != "timeout") | settings.keep_timeouts)
+    kept = np.flatnonzero((record.outcome != "timeout") | (settings.targets == "returns"))
     if not len(kept):
         return
     record, random_steps = record.take(kept), random_steps[kept]

@@ -47,7 +47,7 @@ def fill_memory(memory: Memory, record: Record, config: Config) -> None:
 def new_fit(config: Config) -> Fit:
     """Imitation at its start: a network drawn from the config's seed."""
     network = new_network(config, config.seed)
-    return Fit(network, config.imitation, generator(config.seed, "fit"))
+    return Fit(network, config, generator(config.seed, "fit"))
 
 
 def fit_memory(fit: Fit, memory: Memory, progress: Progress, keep: Callable[[dict], None]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from sfmrl.config import Config
 from sfmrl.fast import FastNetwork
-from sfmrl.learning import OPTIMIZERS, SCHEDULES, forget, generator_state, learn, mean_loss, set_generator_state
+from sfmrl.learning import OPTIMIZERS, forget, generator_state, learn, mean_loss, set_generator_state
 from sfmrl.memory import Memory
 from sfmrl.scenarios import generator
 
@@ -27,7 +27,7 @@ class Learner:
         self.average = network.copy()
         # What explores: the network itself, or what it was before the batches that are being learnt meanwhile.
         self.actor = network.copy() if config.reinforcement.parallel > 1 else network
-        self.optimizer = OPTIMIZERS[config.reinforcement.optimizer](network)
+        self.optimizer = OPTIMIZERS[config.optimizer](network)
         self.rng = generator(config.seed, "batches")
         self.episode = self.batch = 0
         self.rows: list[dict[str, Any]] = []
@@ -43,19 +43,18 @@ class Learner:
         settings = self.config.reinforcement
         if not len(self.memory):
             return float("nan")
-        schedule = SCHEDULES[settings.schedule]
         losses = []
         forget(self.optimizer)
         stored, size = len(self.memory), min(settings.batch_size, len(self.memory))
         # All draws in a row: between batches, each would take eight times as long, out of the processor's cache.
         for rows in [self.rng.choice(stored, size, replace=False) for _ in range(batches)]:
             progress = self.batch / max(settings.episodes * settings.batches, 1)
-            rate = settings.learning_rate * schedule(progress)
+            rate = self.optimizer.rate(settings.learning_rate, progress)
             losses.append(learn(self.network, self.optimizer, rate, *self.memory.take(rows)))
             if settings.average:
                 follow(self.average, self.network, 1 / settings.average)
             self.batch += 1
-        return mean_loss(losses, self.network, settings) if losses else float("nan")
+        return mean_loss(losses, self.optimizer, settings) if losses else float("nan")
 
     def advance(self, episodes: int) -> None:
         """So many more episodes have been learnt from: renew the target network where its interval has passed."""

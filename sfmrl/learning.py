@@ -1,7 +1,6 @@
 """Gradient descent on stored values: what imitation and reinforcement learning share.
 
-Mean squared error between the network's value and the stored one, as in CrowdNav. The learning rate is a pure function
-of progress, so a resumed training needs no scheduler's state.
+Mean squared error between the network's value and the stored one, as in CrowdNav.
 """
 
 import json
@@ -11,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sfmrl.config import ConfigError, Imitation, Reinforcement
+from sfmrl.config import Config, ConfigError, Imitation, Reinforcement
 from sfmrl.fast import FastNetwork
 from sfmrl.memory import Memory
 
@@ -20,32 +19,19 @@ MEAN, SQUARE, TINY = 0.9, 0.999, 1e-8  # of Adam, as its authors suggest
 FORGOTTEN = 1e-20  # a mean gradient too small to move a parameter; hundreds of steps later it would be denormal
 
 
-def _constant(progress: float) -> float:
-    return 1.0
-
-
-def _linear(progress: float) -> float:
-    """Down to nothing in a straight line."""
-    return 1.0 - progress
-
-
-def _one_cycle(progress: float) -> float:
-    """Up from 1/25 over the first 0.3, then down to nothing, both along a cosine (Smith and Topin, 2017)."""
-    if progress < 0.3:
-        return 1 / 25 + (1 - 1 / 25) * (1 - math.cos(math.pi * progress / 0.3)) / 2
-    return (1 + math.cos(math.pi * (progress - 0.3) / 0.7)) / 2
-
-
-SCHEDULES: dict[str, Callable[[float], float]] = {"constant": _constant, "linear": _linear, "one-cycle": _one_cycle}
-
-
 class SGD:
     """Descent along the running sum of gradients, each step's weighing `MOMENTUM` less at the next (Polyak, 1964)."""
+
+    falls = False  # whether the learning rate falls to 0 over a training, in a straight line
 
     def __init__(self, network: FastNetwork) -> None:
         self.network = network
         self.moments = [np.zeros_like(network.flat)]
         self.steps = 0
+
+    def rate(self, highest: float, progress: float) -> float:
+        """The learning rate after `progress`, from 0 to 1, of a training."""
+        return highest * (1.0 - progress) if self.falls else highest
 
     def step(self, rate: float) -> None:
         """Move the network's parameters at learning rate `rate`."""
@@ -66,6 +52,8 @@ class SGD:
 
 class Adam(SGD):
     """Descent along the running mean of gradients over the root of that of their squares (Kingma and Ba, 2015)."""
+
+    falls = True
 
     def __init__(self, network: FastNetwork) -> None:
         super().__init__(network)
@@ -101,17 +89,17 @@ def learn(network: FastNetwork, optimizer: SGD, rate: float, states: np.ndarray,
     return loss
 
 
-def mean_loss(losses: list[float], network: FastNetwork, settings: Imitation | Reinforcement) -> float:
+def mean_loss(losses: list[float], optimizer: SGD, settings: Imitation | Reinforcement) -> float:
     """The mean of the losses of steps of descent; raises ConfigError where it or the network is not finite after them.
 
     Checkpoints are written after this, so the last one is finite.
     """
     loss = float(np.mean(losses))
-    if not (math.isfinite(loss) and np.isfinite(network.flat).all()):
+    if not (math.isfinite(loss) and np.isfinite(optimizer.network.flat).all()):
         raise ConfigError(
             f"the training diverged, its loss is {loss:g}: learning-rate {settings.learning_rate:g} is likely too high "
-            f"for {settings.optimizer} (or the rewards are too large); start a new run with a smaller --learning-rate. "
-            "This one keeps its last good checkpoint"
+            f"for {type(optimizer).__name__} (or the rewards are too large); start a new run with a smaller "
+            "--learning-rate. This one keeps its last good checkpoint"
         )
     return loss
 
@@ -129,9 +117,9 @@ def forget(optimizer: SGD) -> None:
 class Fit:
     """A network on its way through the epochs of imitation: what has to be kept to go on after an interruption."""
 
-    def __init__(self, network: FastNetwork, settings: Imitation, rng: np.random.Generator) -> None:
-        self.network, self.settings, self.rng = network, settings, rng
-        self.optimizer = OPTIMIZERS[settings.optimizer](network)
+    def __init__(self, network: FastNetwork, config: Config, rng: np.random.Generator) -> None:
+        self.network, self.settings, self.rng = network, config.imitation, rng
+        self.optimizer = OPTIMIZERS[config.optimizer](network)
         self.epoch = 0
 
     def run_epoch(self, memory: Memory, progress: Callable[[int], None]) -> float:
@@ -139,14 +127,14 @@ class Fit:
         size = self.settings.batch_size
         order = self.rng.permutation(len(memory))
         batches = [order[first : first + size] for first in range(0, len(order), size)]
-        schedule, steps = SCHEDULES[self.settings.schedule], self.settings.epochs * len(batches)
+        steps = self.settings.epochs * len(batches)
         losses = []
         forget(self.optimizer)
         for number, rows in enumerate(batches, start=self.epoch * len(batches)):
-            rate = self.settings.learning_rate * schedule(number / steps)
+            rate = self.optimizer.rate(self.settings.learning_rate, number / steps)
             losses.append(learn(self.network, self.optimizer, rate, *memory.take(rows)))
             progress(1)
-        loss = mean_loss(losses, self.network, self.settings)
+        loss = mean_loss(losses, self.optimizer, self.settings)
         self.epoch += 1
         return loss
 

@@ -239,6 +239,9 @@ def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], N
     fill_memory(memory, load_demonstrations(demonstrations, config.simulation), config)
     network, learnt_under = load_weights(source / WEIGHTS)
     if (learnt_under.forces, learnt_under.value_prior) == (config.forces, config.value_prior):
+        with run.restoring():
+            if saved:
+                raise ValueError("it is one of a fit, which this run does without")
         return Learner(network, memory, config)
 
     if saved:

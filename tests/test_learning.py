@@ -1,4 +1,4 @@
-"""Learning against hand computations: schedules, one step of descent, memory, targets; and a training that improves."""
+"""Learning against hand computations: learning rates, descent, memory, targets; and a training that improves."""
 
 import math
 from collections import deque
@@ -17,7 +17,7 @@ from sfmrl.exploration import epsilon, explore, remember
 from sfmrl.fast import FastNetwork, new_network
 from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
 from sfmrl.learner import Learner, follow
-from sfmrl.learning import OPTIMIZERS, SCHEDULES, Fit, forget, generator_state, learn, set_generator_state
+from sfmrl.learning import OPTIMIZERS, Fit, forget, generator_state, learn, set_generator_state
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.memory import Memory
 from sfmrl.progress import no_progress
@@ -36,22 +36,11 @@ def plain_network(seed: int = 0) -> FastNetwork:
     return new_network(Config(), seed)
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("constant", {0.0: 1.0, 0.5: 1.0, 1.0: 1.0}),
-        ("linear", {0.0: 1.0, 0.25: 0.75, 1.0: 0.0}),
-        ("one-cycle", {0.0: 1 / 25, 0.15: 0.52, 0.3: 1.0, 0.65: 0.5, 1.0: 0.0}),
-    ],
-)
-def test_schedules_at_known_points(name, expected):
-    for progress, factor in expected.items():
-        assert SCHEDULES[name](progress) == pytest.approx(factor, abs=1e-12)
-
-
-@given(st.sampled_from(sorted(SCHEDULES)), st.floats(0, 1))
-def test_schedules_stay_between_nothing_and_the_whole_rate(name, progress):
-    assert 0 <= SCHEDULES[name](progress) <= 1
+def test_adam_s_learning_rate_falls_to_nothing_and_sgd_s_stays():
+    sgd, adam = (OPTIMIZERS[name](plain_network()) for name in ("sgd", "adam"))
+    for progress, share in {0.0: 1.0, 0.25: 0.75, 1.0: 0.0}.items():
+        assert adam.rate(0.02, progress) == pytest.approx(0.02 * share)
+        assert sgd.rate(0.02, progress) == 0.02
 
 
 TORCH_S = {"sgd": lambda flat: torch.optim.SGD([flat], momentum=0.9), "adam": lambda flat: torch.optim.Adam([flat])}
@@ -170,7 +159,7 @@ def test_an_epoch_takes_every_state_once_in_another_order_each_time(monkeypatch)
     memory = Memory(25, 3)
     states, _ = random_batch(0, count=25)
     memory.push(states, np.arange(25, dtype=np.float32))
-    fit = Fit(plain_network(), Imitation(batch_size=10, epochs=2), np.random.default_rng(0))
+    fit = Fit(plain_network(), Config(imitation=Imitation(batch_size=10, epochs=2)), np.random.default_rng(0))
     fit.run_epoch(memory, lambda count: None)
     fit.run_epoch(memory, lambda count: None)
     assert [len(batch) for batch in seen] == [10, 10, 5] * 2
@@ -195,10 +184,9 @@ def played(config: Config) -> tuple[Record, np.ndarray]:
     return record, np.random.default_rng(0).random(record.reward.shape) < 0.3
 
 
-@pytest.mark.parametrize("keep_timeouts", [False, True])
 @pytest.mark.parametrize("targets", ["td", "returns"])
-def test_targets_equal_a_naive_loop(targets, keep_timeouts):
-    config = tiny_config(targets=targets, keep_timeouts=keep_timeouts)
+def test_targets_equal_a_naive_loop(targets):
+    config, keep_timeouts = tiny_config(targets=targets), targets == "returns"
     learner = Learner(plain_network(1), make_memory(config), config)
     learner.network.flat += 0.05  # it has moved on from its target
     record, random_steps = played(config)

@@ -267,7 +267,7 @@ ODD_CHECKPOINTS = {
 
 @pytest.mark.parametrize("what", ODD_CHECKPOINTS)
 def test_a_checkpoint_of_something_else_is_one_error(interrupted, finished, tmp_path, what):
-    other = override(TINY, {"reward": {"reward": "sfm"}})  # so that the network is fitted again
+    other = override(TINY, {"forces": True})  # so that the network is fitted again
     for run in (open_run(interrupted), start_run(other, finished, False, tmp_path / "rl")):
         run.save_checkpoint(ODD_CHECKPOINTS[what])
         work = run_imitation if run.kind == "il" else partial(run_reinforcement, say=lambda text: None)
@@ -298,17 +298,19 @@ def test_demonstrations_that_are_not_finite_are_not_learnt_from(folder, what):
 
 
 def test_a_training_that_diverges_stops_and_names_its_learning_rate(finished, tmp_path, monkeypatch):
-    wild = {"imitation": {"optimizer": "sgd", "learning_rate": 100.0, "schedule": "constant"}}
+    wild = {"optimizer": "sgd", "imitation": {"learning_rate": 100.0}}
     run = create_run("il", override(TINY, wild), tmp_path / "il")
-    with pytest.raises(ConfigError, match="learning-rate 100 is likely too high for sgd"):
+    with pytest.raises(ConfigError, match="learning-rate 100 is likely too high for SGD"):
         run_imitation(run, no_progress, StopSignal())
     assert not run.finished
     assert all(np.isfinite(value).all() for value in run.load_checkpoint()["fit"]["network"].values())
-    reinforcement = {"episodes": 20, "parallel": 5, "learning_rate": 1000.0, "optimizer": "sgd"}
+    reinforcement = {"episodes": 20, "parallel": 5, "learning_rate": 1000.0}
     reinforcement |= {"validation_episodes": 1, "environment": "5", "test_environment": "5", "average": 0}
-    run = start_run(override(TINY, {"reinforcement": reinforcement}), finished, False, tmp_path / "rl")
+    run = start_run(
+        override(TINY, {"optimizer": "sgd", "reinforcement": reinforcement}), finished, False, tmp_path / "rl"
+    )
     monkeypatch.setattr("sfmrl.training.CHECKPOINT_EVERY", 0.0)
-    with pytest.raises(ConfigError, match="learning-rate 1000 is likely too high for sgd"):
+    with pytest.raises(ConfigError, match="learning-rate 1000 is likely too high for SGD"):
         run_reinforcement(run, no_progress, StopSignal(), lambda text: None)
     assert not run.finished
     assert run.load_checkpoint() is None  # there was none yet
