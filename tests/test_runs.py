@@ -516,7 +516,20 @@ def test_checkpoints_number_on_and_only_two_are_kept(tmp_path):
 
 SMALL = ["--time-limit", "14"]
 IL = [*SMALL, "--episodes", "30", "--epochs", "14", "--batch-size", "20"]
-RL = [*SMALL, "--reward", "sfm", "--episodes", "24", "--parallel", "4", "--batches", "10", "--batch-size", "40"]
+RL = [
+    *SMALL,
+    "--reward",
+    "sfm",
+    "--forces",
+    "--episodes",
+    "24",
+    "--parallel",
+    "4",
+    "--batches",
+    "10",
+    "--batch-size",
+    "40",
+]
 RL += ["--validation-interval", "12", "--validation-episodes", "3", "--test-episodes", "4"]
 
 
