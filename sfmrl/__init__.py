@@ -17,8 +17,8 @@ _HOME = {
     "network": ("ValueNetwork",),
     "fast": ("FastNetwork",),
     "weights": ("load_weights", "save_weights", "export_weights"),
-    "scenarios": ("Scenes", "sample_scenes"),
-    "drawings": ("read_map", "load_map", "draw_map"),
+    "scenes": ("Scenes", "sample_scenes"),
+    "maps.draw": ("read_map", "load_map", "draw_map"),
     "rewards": (
         "RUNNING",
         "SUCCESS",

@@ -19,7 +19,7 @@ variants = among(*VARIANTS)
 
 def environments(incomplete: str) -> list[str]:
     """Environments, and the mixes of the paper's tables."""
-    from sfmrl.scenarios import ENVIRONMENTS
+    from sfmrl.scenes import ENVIRONMENTS
 
     return _fitting([*ENVIRONMENTS, *MIXES], incomplete)
 

@@ -15,7 +15,7 @@ from sfmrl.geometry import closest_approach, direction, length, limit, square_ga
 from sfmrl.orca import Edges, orca_velocities, polygon_edges
 from sfmrl.planner import Geodesics, plan
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
-from sfmrl.scenarios import Scenes
+from sfmrl.scenes import Scenes
 from sfmrl.sfm import sfm_velocities
 
 

@@ -11,7 +11,7 @@ from sfmrl.episodes import Record
 from sfmrl.files import DamagedFile, read_checked, write_atomically
 from sfmrl.geometry import length
 from sfmrl.rewards import Transition
-from sfmrl.scenarios import Scenes
+from sfmrl.scenes import Scenes
 
 DERIVED = ("time_step", "goal_distance_before")  # fields of a transition that the file does not hold
 STORED = [item.name for item in fields(Transition) if item.name not in DERIVED]

@@ -77,7 +77,7 @@ def _two_threads() -> Check:
     from sfmrl.episodes import play_episodes
     from sfmrl.fast import new_network
     from sfmrl.lookahead import SarlPolicy
-    from sfmrl.scenarios import sample_scenes
+    from sfmrl.scenes import sample_scenes
     from sfmrl.variants import make_config
 
     config, found = make_config(simulation={"time_limit": 6.0}), set()

@@ -18,7 +18,7 @@ from sfmrl.lookahead import Policy, step_discount
 from sfmrl.own_code import checked_array, fault, is_write, kind, name_of, read_only, takes_two
 from sfmrl.policies import find_policy
 from sfmrl.rewards import OUTCOMES, RUNNING, OwnReward, Terms, Transition, as_reward, reward_terms, total
-from sfmrl.scenarios import Scenes
+from sfmrl.scenes import Scenes
 from sfmrl.states import elements_within, robot_states
 
 BATCH = 256  # episodes side by side, where a policy does not name another number

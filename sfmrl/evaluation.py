@@ -13,7 +13,7 @@ from sfmrl.policies import find_policy
 from sfmrl.progress import Progress, no_progress
 from sfmrl.recovery import RecoveringPolicy
 from sfmrl.rewards import OwnReward, as_reward
-from sfmrl.scenarios import sample_scenes
+from sfmrl.scenes import sample_scenes
 
 RATES = ("success", "collision", "timeout")
 

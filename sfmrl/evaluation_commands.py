@@ -37,7 +37,7 @@ def evaluate_command(
     """Test a policy: success, collisions, time-outs, navigation time, total reward."""
     from sfmrl.evaluation import episode_rows, evaluation_record, metrics
     from sfmrl.progress import show_progress
-    from sfmrl.scenarios import label
+    from sfmrl.scenes import label
 
     new_file(csv, "csv", overwrite)
     asked = drawn(map_file, environment)
@@ -94,7 +94,7 @@ def compare_command(
     from sfmrl.comparison import compare, comparison_rows, comparison_sheets
     from sfmrl.evaluation import evaluation_record
     from sfmrl.progress import show_progress
-    from sfmrl.scenarios import label
+    from sfmrl.scenes import label
 
     if len(policies) < 2 or len(set(policies)) < len(policies):
         raise ConfigError(f"compare takes two or more different policies; it got {', '.join(policies)}")

@@ -24,7 +24,7 @@ from sfmrl.episodes import Record, play_episodes, returns_of
 from sfmrl.fast import FastNetwork, Sizes, new_network
 from sfmrl.learner import Learner
 from sfmrl.lookahead import SarlPolicy, step_discount
-from sfmrl.scenarios import generator, sample_scenes, thinned
+from sfmrl.scenes import generator, sample_scenes, thinned
 from sfmrl.stopping import SIGNALS, held_back
 
 Explored = tuple[Record, np.ndarray]

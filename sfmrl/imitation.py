@@ -15,7 +15,7 @@ from sfmrl.memory import Memory
 from sfmrl.policies import orca_policy
 from sfmrl.progress import Progress
 from sfmrl.rewards import reward_terms
-from sfmrl.scenarios import elements_of, generator, sample_scenes, thinned
+from sfmrl.scenes import elements_of, generator, sample_scenes, thinned
 
 
 def demonstrate(config: Config, progress: Progress) -> Record:

@@ -12,7 +12,7 @@ from sfmrl.config import Config
 from sfmrl.fast import FastNetwork
 from sfmrl.learning import OPTIMIZERS, forget, generator_state, learn, mean_loss, set_generator_state
 from sfmrl.memory import Memory
-from sfmrl.scenarios import generator
+from sfmrl.scenes import generator
 
 PARTS = ("network", "actor", "target", "average", "optimizer", "memory")
 COUNTERS = ("episode", "batch", "rows", "validations")

@@ -9,8 +9,8 @@ from collections.abc import Callable
 import numpy as np
 
 from sfmrl.config import ConfigError
-from sfmrl.layouts import drawing_of
-from sfmrl.maps import Drawing
+from sfmrl.maps.format import Drawing
+from sfmrl.maps.layouts import drawing_of
 
 RADIUS, V_PREF, SIDE = 0.3, 1.0, 0.6  # m, m/s, m: every disc, every preferred speed, every square
 CIRCLE, NOISE = 4.0, 0.5  # m: people start on this circle, moved by up to so much in x and in y

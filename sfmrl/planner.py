@@ -15,7 +15,7 @@ import numpy as np
 
 from sfmrl.config import ConfigError, Planner, counted
 from sfmrl.geometry import length
-from sfmrl.scenarios import Scenes
+from sfmrl.scenes import Scenes
 
 BLOCK = 64  # scenes at a time: few enough for their grids to stay in the cache
 REACH = 60.0  # m around the robot's start that are planned for at least: more than any map is wide

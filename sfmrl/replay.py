@@ -16,7 +16,7 @@ from sfmrl.canvas import FAINT, GOAL, PERSON, ROBOT, SQUARE, Canvas, fitted, sty
 from sfmrl.geometry import direction
 from sfmrl.layout import Side, Size, joined
 from sfmrl.plane import bordered, draw
-from sfmrl.scenarios import Scenes
+from sfmrl.scenes import Scenes
 from sfmrl.story import Story, scene_name
 
 BESIDE = 61  # columns from which two policies stand side by side, else one above the other

@@ -66,11 +66,11 @@ def ascii_render(
     room = _parsed(size) if size else FILES if files else (max(out.width, LEAST[0]), max(out.height - 1, LEAST[1]))
     ascii_only = ascii_only or (not files and not (out.encoding or "").lower().startswith("utf"))
     environment = drawn(map_file, environment)
-    from sfmrl.scenarios import sample_scenes
+    from sfmrl.scenes import sample_scenes
 
     sample = partial(sample_scenes, episodes=[episode], seed=seed, people=humans, people_speed=human_speed)
     if draw:
-        from sfmrl.drawings import draw_map
+        from sfmrl.maps.draw import draw_map
 
         name = Config().reinforcement.test_environment if environment is None else environment
         say_result(draw_map(sample(name)).rstrip("\n"))
@@ -111,7 +111,7 @@ def _parsed(size: str) -> tuple[int, int]:
 def _print_scenes(environment: str | None, sample: Callable, room: tuple[int, int], ascii_only: bool) -> None:
     """A picture of a sample of an environment, or of each."""
     from sfmrl.replay import scene_picture
-    from sfmrl.scenarios import ENVIRONMENTS
+    from sfmrl.scenes import ENVIRONMENTS
 
     for name in "12345" if environment is None else [environment]:
         scenes = sample(name)
@@ -131,8 +131,8 @@ def _play(
 
     It is judged by the first one's reward, and is in the first one's test environment if none was given.
     """
-    from sfmrl.drawings import hindrance
     from sfmrl.episodes import play_episodes
+    from sfmrl.maps.draw import hindrance
     from sfmrl.replay import Replay
     from sfmrl.story import tell
 

@@ -17,7 +17,7 @@ from sfmrl.policies import orca_policy
 from sfmrl.progress import Progress
 from sfmrl.recovery import with_recovery
 from sfmrl.runs import Run
-from sfmrl.scenarios import sample_scenes
+from sfmrl.scenes import sample_scenes
 from sfmrl.training import EVALUATION_SEED
 from sfmrl.weights import load_weights
 

@@ -123,7 +123,7 @@ def say_habits(path: Path, config: Config) -> None:
 
 def drawn(map_file: Path | None, environment: str | None) -> str | None:
     """The environment that was asked for by --map or by --environment; None where neither was given."""
-    from sfmrl.drawings import load_map
+    from sfmrl.maps.draw import load_map
 
     if map_file and environment is not None:
         raise ConfigError("--map and --environment exclude each other; leave out one of them")

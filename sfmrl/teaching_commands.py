@@ -41,7 +41,7 @@ def explain(
     from sfmrl.episodes import play_episodes
     from sfmrl.explanation import chosen_steps, explain_episode
     from sfmrl.explanation_tables import print_explanation
-    from sfmrl.scenarios import sample_scenes
+    from sfmrl.scenes import sample_scenes
 
     new_file(csv, "csv", overwrite)
     environment = drawn(map_file, environment)

@@ -72,8 +72,8 @@ def rl(
     settings: dict[str, Any],
 ) -> None:
     """Reinforcement: deep V-learning on from what imitation gave, then a test."""
-    from sfmrl.drawings import hindrance
-    from sfmrl.scenarios import label, sample_scenes
+    from sfmrl.maps.draw import hindrance
+    from sfmrl.scenes import label, sample_scenes
     from sfmrl.training import run_reinforcement, start_run
 
     workers = use_threads(threads)

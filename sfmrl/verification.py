@@ -11,7 +11,7 @@ from typing import Any
 from sfmrl.config import ConfigError
 from sfmrl.files import SUMS, DamagedFile, digest_of, read_regular, read_sums
 from sfmrl.folders import BEST, DEMONSTRATIONS, MAP, TABLES, WEIGHTS, unfinished
-from sfmrl.layouts import DRAWN
+from sfmrl.maps.layouts import DRAWN
 from sfmrl.own_code import UntrustedReward, reward_digest, trusted
 from sfmrl.progress import Progress
 from sfmrl.run_replay import Disagreement, Replay, result, result_of

@@ -38,7 +38,7 @@ from sfmrl.policies import orca_policy
 from sfmrl.progress import no_progress
 from sfmrl.recovery import RecoveringPolicy
 from sfmrl.runs import create_run
-from sfmrl.scenarios import Scenes, sample_scenes
+from sfmrl.scenes import Scenes, sample_scenes
 from sfmrl.stopping import StopSignal
 from sfmrl.training import run_imitation, run_reinforcement, start_run
 from sfmrl.variants import make_config

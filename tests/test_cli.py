@@ -34,7 +34,7 @@ from sfmrl.network import ValueNetwork
 from sfmrl.policies import POLICIES
 from sfmrl.rewards import REWARDS
 from sfmrl.runs import create_run
-from sfmrl.scenarios import ENVIRONMENTS
+from sfmrl.scenes import ENVIRONMENTS
 from sfmrl.session import on_run
 from sfmrl.variants import MIXES, PRESETS, VARIANTS, make_config
 from sfmrl.weights import load_weights

@@ -16,7 +16,7 @@ from sfmrl.episodes import Record, play, play_episodes
 from sfmrl.geometry import length
 from sfmrl.policies import orca_policy
 from sfmrl.rewards import COLLISION, OUTCOMES, RUNNING, SUCCESS, TIMEOUT, Transition
-from sfmrl.scenarios import Scenes, sample_scenes
+from sfmrl.scenes import Scenes, sample_scenes
 
 FILES = ("5_visible", "5_invisible", "10_visible", "10_invisible")
 

@@ -15,7 +15,7 @@ from sfmrl.episodes import Record, play, play_episodes, returns_of
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import load_policy
-from sfmrl.scenarios import Scenes, sample_scenes
+from sfmrl.scenes import Scenes, sample_scenes
 from sfmrl.states import robot_states
 
 

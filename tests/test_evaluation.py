@@ -16,7 +16,7 @@ from sfmrl.intervals import wilson
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
-from sfmrl.scenarios import Scenes
+from sfmrl.scenes import Scenes
 from sfmrl.variants import make_config
 
 

@@ -15,7 +15,7 @@ from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import orca_policy
 from sfmrl.recovery import with_recovery
-from sfmrl.scenarios import sample_scenes
+from sfmrl.scenes import sample_scenes
 from sfmrl.variants import make_config
 
 OWN = replace(REWARDS["sfm-discount"], k=0.002, discount_start=5.0)

@@ -21,7 +21,7 @@ from sfmrl.learning import OPTIMIZERS, Fit, forget, generator_state, learn, set_
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.memory import Memory
 from sfmrl.progress import no_progress
-from sfmrl.scenarios import sample_scenes
+from sfmrl.scenes import sample_scenes
 from sfmrl.states import robot_states
 from sfmrl.training import due
 from sfmrl.variants import make_config

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from sfmrl import draw_map, evaluate, load_map, load_policy, read_map, sample_scenes
 from sfmrl.config import Config, ConfigError, Planner
-from sfmrl.drawings import hindrance
+from sfmrl.maps.draw import hindrance
 from sfmrl.planner import solvable
 from sfmrl.progress import no_progress
 from sfmrl.recovery import with_recovery
 from sfmrl.runs import open_run
-from sfmrl.scenarios import elements_of
+from sfmrl.scenes import elements_of
 from sfmrl.stopping import Interrupted, StopSignal
 from sfmrl.training import run_reinforcement, start_run
 from sfmrl.variants import make_config

@@ -19,7 +19,7 @@ from sfmrl.own_code import UntrustedReward, trusted
 from sfmrl.policies import load_policy
 from sfmrl.rewards import Transition, reward_terms
 from sfmrl.runs import create_run, open_run
-from sfmrl.scenarios import Scenes, sample_scenes
+from sfmrl.scenes import Scenes, sample_scenes
 from sfmrl.variants import make_config
 from sfmrl.weights import load_weights, save_weights
 

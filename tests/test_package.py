@@ -38,11 +38,12 @@ LEVELS = (
     ),
     (
         "maps",
-        "layouts",
+        "maps.format",
+        "maps.layouts",
         "placement",
-        "scenarios",
+        "scenes",
         "planner",
-        "drawings",
+        "maps.draw",
         "own_code",
         "rewards",
         "crowd",
@@ -110,7 +111,7 @@ def imports(path: Path, top_only: bool = False) -> set[str]:
 
 def test_the_package_is_nearly_flat_and_every_file_has_its_place():
     folders = {path.name for path in (ROOT / "sfmrl").iterdir() if path.is_dir()}
-    assert folders - {"__pycache__"} == {"models", "fast"}  # models: trained networks and their cards, no code
+    assert folders - {"__pycache__"} == {"models", "fast", "maps"}  # models: trained networks and their cards, no code
     assert {path.suffix for path in MODELS} == {".json", ".npz"}
     assert set(map(name_of, FILES)) == set(ORDER)
     assert len(ORDER) == len(set(ORDER))

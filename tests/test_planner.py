@@ -13,7 +13,7 @@ from sfmrl.episodes import play
 from sfmrl.planner import plan, solvable
 from sfmrl.policies import orca_policy
 from sfmrl.recovery import RecoveringPolicy
-from sfmrl.scenarios import Scenes, sample_scenes
+from sfmrl.scenes import Scenes, sample_scenes
 
 
 def among_squares(*squares: tuple[float, float], goal=(0.0, 4.0)) -> Scenes:

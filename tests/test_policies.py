@@ -11,7 +11,7 @@ from sfmrl.episodes import play
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.rewards import COLLISION, RUNNING
-from sfmrl.scenarios import Scenes
+from sfmrl.scenes import Scenes
 
 
 def crowded(episodes: int, seed: int) -> World:

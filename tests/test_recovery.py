@@ -14,7 +14,7 @@ from sfmrl.network import ValueNetwork
 from sfmrl.policies import find_policy, linear_policy, orca_policy
 from sfmrl.recovery import RecoveringPolicy, straight_way_is_free, with_recovery
 from sfmrl.rewards import COLLISION
-from sfmrl.scenarios import Scenes, sample_scenes
+from sfmrl.scenes import Scenes, sample_scenes
 
 ON = Planner(recover=True)
 

@@ -19,7 +19,7 @@ from sfmrl.lookahead import Lookahead, SarlPolicy
 from sfmrl.panel import SHADES, action_disc
 from sfmrl.replay import Replay, scene_picture, strip
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
-from sfmrl.scenarios import Scenes, sample_scenes
+from sfmrl.scenes import Scenes, sample_scenes
 from sfmrl.screen import Player, play_live
 from sfmrl.story import tell
 from sfmrl.variants import make_config

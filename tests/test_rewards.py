@@ -22,7 +22,7 @@ from sfmrl.rewards import (
     reward_terms,
     total,
 )
-from sfmrl.scenarios import Scenes, sample_scenes
+from sfmrl.scenes import Scenes, sample_scenes
 
 NAMES = ("crowd", "sfm", "sfm-discount")
 

@@ -19,11 +19,11 @@ from conftest import environment
 from sfmrl import __version__
 from sfmrl.config import Config, ConfigError, override
 from sfmrl.demonstrations import load_demonstrations
-from sfmrl.drawings import load_map
 from sfmrl.files import SUMS, DamagedFile, append, read_checked, read_sums, write_atomically
 from sfmrl.folders import DEMONSTRATIONS, LOCK, in_training, locked, run_folders, unfinished
 from sfmrl.greeting import greeting
 from sfmrl.imitation import demonstrate
+from sfmrl.maps.draw import load_map
 from sfmrl.policies import WEIGHTS, load_policy
 from sfmrl.progress import no_progress
 from sfmrl.runs import Run, create_run, newest_run, open_run, sole_use

@@ -18,7 +18,7 @@ from sfmrl.findings import contrasts, figures, summarise
 from sfmrl.intervals import mean_interval, wilson
 from sfmrl.reports import csv_rows, rate, sheets
 from sfmrl.results import Trained, read_row
-from sfmrl.scenarios import sample_scenes
+from sfmrl.scenes import sample_scenes
 from sfmrl.tables import TABLES, make_jobs, parse_rows, parse_seeds, run_folder
 
 EPISODES = np.array([0, 250, 500, 1000])

@@ -15,7 +15,7 @@ import numpy as np
 
 from sfmrl.config import ConfigError, in_range, suggest
 from sfmrl.geometry import vectors
-from sfmrl.layouts import DRAWN, LAYOUTS, MAPS, drawing_of
+from sfmrl.maps.layouts import DRAWN, LAYOUTS, MAPS, drawing_of
 from sfmrl.placement import RADIUS, V_PREF, Builder, circle_of, people_on_circle
 from sfmrl.variants import MIXES
 
@@ -159,7 +159,7 @@ def sample_scenes(
     """Sample episodes of an environment, or of a mix of them, each from its own seed.
 
     `environment` is one of `ENVIRONMENTS`, a mix such as "1:0.7,2:0.3", or "table1", "table2", or a drawing
-    "map:R.#.G/..#.." (see `maps.py`), labelled "map"; `episodes` is how many, or the numbers of those wanted. With
+    "map:R.#.G/..#.." (see `maps.format`), labelled "map"; `episodes` is how many, or the numbers of those wanted. With
     `people`, that many, all on the circle, take the place of the environment's own; `people_speed` is their preferred
     speed, m/s; `circle` is the radius of the circle that people start on, m (default `circle_of(people)`). The result
     has a row for the robot and one for each element, people before squares. Raises ConfigError on names it does not

@@ -1,14 +1,14 @@
 """Twenty scenes that no environment samples, drawn in text: traps, corridors, rooms, and squares at random.
 
-In the format of maps of one's own (`maps.py`), but the robot's start and goal are (0, -4) and (0, 4) where they are not
-drawn, and always exactly there. All can be solved but `closed`, which is left out of the twenty.
+In the format of maps of one's own (`format.py`), but the robot's start and goal are (0, -4) and (0, 4) where they are
+not drawn, and always exactly there. All can be solved but `closed`, which is left out of the twenty.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
-from sfmrl.maps import Drawing, parse
+from sfmrl.maps.format import Drawing, parse
 
 _DRAWINGS = """
 u

@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 
 from sfmrl.config import ConfigError
 from sfmrl.geometry import length
-from sfmrl.scenarios import ENVIRONMENTS, Scenes, parse_mix, sample_scenes, thinned
+from sfmrl.scenes import ENVIRONMENTS, Scenes, parse_mix, sample_scenes, thinned
 
 EPISODES = 300
 PAPER = ("1", "2", "3", "4", "5")

@@ -1,4 +1,4 @@
-"""Maps in text files as scenes and environments, and scenes as maps; `maps.py` has the format."""
+"""Maps in text files as scenes and environments, and scenes as maps; `format.py` has the format."""
 
 from pathlib import Path
 
@@ -6,10 +6,10 @@ import numpy as np
 
 from sfmrl.config import ConfigError, Planner
 from sfmrl.files import read_regular
-from sfmrl.layouts import DRAWN
-from sfmrl.maps import CELL, GOALS, MOST_PLACES, PEOPLE, Drawing, parse
+from sfmrl.maps.format import CELL, GOALS, MOST_PLACES, PEOPLE, Drawing, parse
+from sfmrl.maps.layouts import DRAWN
 from sfmrl.planner import UNREACHABLE, plan
-from sfmrl.scenarios import Scenes
+from sfmrl.scenes import Scenes
 
 LARGEST = 100_000  # bytes of a map's file: far more than a map and its comments need
 
