@@ -18,7 +18,7 @@ _HOME = {
     "fast": ("FastNetwork",),
     "weights": ("load_weights", "save_weights", "export_weights"),
     "scenes": ("Scenes", "sample_scenes"),
-    "maps.draw": ("read_map", "load_map", "draw_map"),
+    "maps": ("read_map", "load_map", "draw_map"),
     "rewards": (
         "RUNNING",
         "SUCCESS",

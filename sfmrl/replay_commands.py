@@ -70,7 +70,7 @@ def ascii_render(
 
     sample = partial(sample_scenes, episodes=[episode], seed=seed, people=humans, people_speed=human_speed)
     if draw:
-        from sfmrl.maps.draw import draw_map
+        from sfmrl.maps import draw_map
 
         name = Config().reinforcement.test_environment if environment is None else environment
         say_result(draw_map(sample(name)).rstrip("\n"))
@@ -132,14 +132,14 @@ def _play(
     It is judged by the first one's reward, and is in the first one's test environment if none was given.
     """
     from sfmrl.episodes import play_episodes
-    from sfmrl.maps.draw import hindrance
+    from sfmrl.maps import why_unsolvable
     from sfmrl.replay import Replay
     from sfmrl.story import tell
 
     policies = [choose(name, settings, threads, trust_reward) for name in names]
     config = policies[0][2]
     scene = sample(environment or config.reinforcement.test_environment)
-    if reason := hindrance(scene, config.simulation.time_limit):
+    if reason := why_unsolvable(scene, config.simulation.time_limit):
         say(reason)
     how = (config.reward, config.simulation)
     stories = []

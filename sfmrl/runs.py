@@ -66,10 +66,9 @@ from sfmrl.folders import (
     locked,
     run_folders,
 )
-from sfmrl.maps.layouts import DRAWN
 from sfmrl.own_code import reward_digest
 from sfmrl.rewards import reward_terms
-from sfmrl.scenes import parse_mix
+from sfmrl.scenes import DRAWN, parse_mix
 from sfmrl.variants import variant_name
 from sfmrl.weights import weights_file
 

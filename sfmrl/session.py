@@ -123,7 +123,7 @@ def say_habits(path: Path, config: Config) -> None:
 
 def drawn(map_file: Path | None, environment: str | None) -> str | None:
     """The environment that was asked for by --map or by --environment; None where neither was given."""
-    from sfmrl.maps.draw import load_map
+    from sfmrl.maps import load_map
 
     if map_file and environment is not None:
         raise ConfigError("--map and --environment exclude each other; leave out one of them")
@@ -132,7 +132,7 @@ def drawn(map_file: Path | None, environment: str | None) -> str | None:
 
 def among(humans: int | None, human_speed: float | None) -> tuple[dict[str, Any], str]:
     """What was given of --humans and --human-speed, by name, and in words for a title."""
-    from sfmrl.placement import circle_of
+    from sfmrl.scenes import circle_of
 
     given = {name: value for name, value in (("humans", humans), ("human_speed", human_speed)) if value is not None}
     words = "" if humans is None else f", {counted(humans, 'human')} on a circle of {circle_of(humans):g} m"

@@ -72,7 +72,7 @@ def rl(
     settings: dict[str, Any],
 ) -> None:
     """Reinforcement: deep V-learning on from what imitation gave, then a test."""
-    from sfmrl.maps.draw import hindrance
+    from sfmrl.maps import why_unsolvable
     from sfmrl.scenes import label, sample_scenes
     from sfmrl.training import run_reinforcement, start_run
 
@@ -88,7 +88,7 @@ def rl(
             schedule["environment"] = environment
             schedule.setdefault("test_environment", environment)
         config = new_config(variant, settings)
-        if map_file and (reason := hindrance(sample_scenes(environment, [0]), config.simulation.time_limit)):
+        if map_file and (reason := why_unsolvable(sample_scenes(environment, [0]), config.simulation.time_limit)):
             say(f"{map_file}: {reason}")
         current = start_run(config, source, from_scratch, run, **existing(run, overwrite, go_on))
     if go_on and finished(current):

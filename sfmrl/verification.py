@@ -11,11 +11,11 @@ from typing import Any
 from sfmrl.config import ConfigError
 from sfmrl.files import SUMS, DamagedFile, digest_of, read_regular, read_sums
 from sfmrl.folders import BEST, DEMONSTRATIONS, MAP, TABLES, WEIGHTS, unfinished
-from sfmrl.maps.layouts import DRAWN
 from sfmrl.own_code import UntrustedReward, reward_digest, trusted
 from sfmrl.progress import Progress
 from sfmrl.run_replay import Disagreement, Replay, result, result_of
 from sfmrl.runs import CHECKPOINT, Run, open_run, versions
+from sfmrl.scenes import DRAWN
 from sfmrl.weights import load_weights
 
 ELSEWHERE = 0.05  # share of episodes that may end otherwise where this machine does not compute the bits of the run

@@ -32,13 +32,12 @@ from sfmrl.learner import Learner
 from sfmrl.learning import OPTIMIZERS, learn
 from sfmrl.lookahead import SarlPolicy, available_cores
 from sfmrl.network import ValueNetwork
-from sfmrl.placement import BARRIER
 from sfmrl.planner import plan
 from sfmrl.policies import orca_policy
 from sfmrl.progress import no_progress
 from sfmrl.recovery import RecoveringPolicy
 from sfmrl.runs import create_run
-from sfmrl.scenes import Scenes, sample_scenes
+from sfmrl.scenes import BARRIER, Scenes, sample_scenes
 from sfmrl.stopping import StopSignal
 from sfmrl.training import run_imitation, run_reinforcement, start_run
 from sfmrl.variants import make_config

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from sfmrl import draw_map, evaluate, load_map, load_policy, read_map, sample_scenes
 from sfmrl.config import Config, ConfigError, Planner
-from sfmrl.maps.draw import hindrance
+from sfmrl.maps import why_unsolvable
 from sfmrl.planner import solvable
 from sfmrl.progress import no_progress
 from sfmrl.recovery import with_recovery
@@ -234,16 +234,16 @@ def test_a_hindrance_is_a_passage_too_narrow_or_a_way_too_long():
     for line, free in (("#######", False), ("###.###", False), ("###..##", True)):
         scene = read_map(wall.format(line))
         assert bool(solvable(scene)) == free
-        assert (hindrance(scene, 25.0) is None) == free
-    assert "two characters wide" in hindrance(read_map(wall.format("###.###")), 25.0)
+        assert (why_unsolvable(scene, 25.0) is None) == free
+    assert "two characters wide" in why_unsolvable(read_map(wall.format("###.###")), 25.0)
     long = read_map("R" + 40 * "." + "G")
-    assert hindrance(long, 25.0) is None  # 24.6 m
-    assert "25 m, more than the robot can go in --time-limit 20" in hindrance(long, 20.0)
+    assert why_unsolvable(long, 25.0) is None  # 24.6 m
+    assert "25 m, more than the robot can go in --time-limit 20" in why_unsolvable(long, 20.0)
 
 
 def test_the_example_is_a_maze_that_only_a_way_around_solves():
     environment = load_map(ROOT / "tutorials" / "maze.txt")
-    assert hindrance(sample_scenes(environment, 1), Config().simulation.time_limit) is None
+    assert why_unsolvable(sample_scenes(environment, 1), Config().simulation.time_limit) is None
     led = with_recovery(load_policy("orca"), Planner(recover=True, stall_time=0.0))
     assert evaluate(led, environment=environment, episodes=4)["success"] == 1.0
     assert evaluate("orca", environment=environment, episodes=4)["success"] == 0.0

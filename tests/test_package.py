@@ -37,13 +37,11 @@ LEVELS = (
         "models",
     ),
     (
-        "maps",
-        "maps.format",
-        "maps.layouts",
-        "placement",
         "scenes",
         "planner",
+        "maps.format",
         "maps.draw",
+        "maps",
         "own_code",
         "rewards",
         "crowd",
@@ -84,9 +82,11 @@ LEVELS = (
     ),
 )
 ORDER = [name for level in LEVELS for name in level]
+LATER = {"scenes": {"maps"}}  # imported inside a function, where a name may be of a map
 WITH_TORCH = {"network"}
 PACKAGE = sorted((ROOT / "sfmrl").rglob("*.py"))
 MODELS = sorted((ROOT / "sfmrl" / "models").iterdir())
+LAYOUTS = ROOT / "sfmrl" / "maps" / "layouts.txt"
 FILES = [path for path in PACKAGE if path.parent.name != "sfmrl" or path.stem not in ("__init__", "__main__")]
 
 
@@ -120,7 +120,7 @@ def test_the_package_is_nearly_flat_and_every_file_has_its_place():
 @pytest.mark.parametrize("path", FILES, ids=name_of)
 def test_a_file_imports_only_from_files_before_it(path):
     inner = {name.removeprefix("sfmrl.") for name in imports(path) if name.startswith("sfmrl.")}
-    assert inner <= set(ORDER[: ORDER.index(name_of(path))])
+    assert inner - LATER.get(name_of(path), set()) <= set(ORDER[: ORDER.index(name_of(path))])
 
 
 @pytest.mark.parametrize("path", PACKAGE, ids=name_of)
@@ -188,7 +188,7 @@ def test_the_wheel_holds_sfmrl_alone_and_asks_for_four_packages(tmp_path):
         lines = archive.read(metadata).decode().splitlines()
     places = {name.partition("/")[0] for name in names}
     assert places == {"sfmrl", metadata.partition("/")[0]}
-    inner = {f"sfmrl/{path.relative_to(ROOT / 'sfmrl')}" for path in (*PACKAGE, *MODELS)}
+    inner = {f"sfmrl/{path.relative_to(ROOT / 'sfmrl')}" for path in (*PACKAGE, *MODELS, LAYOUTS)}
     assert {name for name in names if name.startswith("sfmrl/")} == inner
     assert f"Version: {sfmrl.__version__}" in lines
     needed = [line.removeprefix("Requires-Dist: ") for line in lines if line.startswith("Requires-Dist: ")]

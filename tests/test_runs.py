@@ -23,7 +23,7 @@ from sfmrl.files import SUMS, DamagedFile, append, read_checked, read_sums, writ
 from sfmrl.folders import DEMONSTRATIONS, LOCK, in_training, locked, run_folders, unfinished
 from sfmrl.greeting import greeting
 from sfmrl.imitation import demonstrate
-from sfmrl.maps.draw import load_map
+from sfmrl.maps import load_map
 from sfmrl.policies import WEIGHTS, load_policy
 from sfmrl.progress import no_progress
 from sfmrl.runs import Run, create_run, newest_run, open_run, sole_use

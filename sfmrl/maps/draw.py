@@ -1,4 +1,4 @@
-"""Maps in text files as scenes and environments, and scenes as maps; `format.py` has the format."""
+"""Scenes from maps and maps from scenes: `read_map` and its inverse `draw_map`, map files, unsolvable scenes."""
 
 from pathlib import Path
 
@@ -7,9 +7,8 @@ import numpy as np
 from sfmrl.config import ConfigError, Planner
 from sfmrl.files import read_regular
 from sfmrl.maps.format import CELL, GOALS, MOST_PLACES, PEOPLE, Drawing, parse
-from sfmrl.maps.layouts import DRAWN
 from sfmrl.planner import UNREACHABLE, plan
-from sfmrl.scenes import Scenes
+from sfmrl.scenes import DRAWN, Scenes
 
 LARGEST = 100_000  # bytes of a map's file: far more than a map and its comments need
 
@@ -20,7 +19,7 @@ def read_map(text: str, name: str = "map") -> Scenes:
 
 
 def load_map(path: str | Path) -> str:
-    """The environment, for `sample_scenes` and its like, that a text file draws; it holds the drawing itself.
+    """The environment, for `sample_scenes` and others, that a text file draws: a name that holds the whole drawing.
 
     Raises ConfigError, with the file's name, line and column, where it draws none.
     """
@@ -37,42 +36,25 @@ def load_map(path: str | Path) -> str:
         drawing = parse(text.decode("utf-8-sig"), str(path))
     except UnicodeDecodeError:
         raise ConfigError(f"{path} is not text in UTF-8, as a map is") from None
-    return DRAWN + draw_map(_scenes(drawing)).rstrip("\n").replace("\n", "/")
+    return DRAWN + "/".join(_lines(_scenes(drawing)))
 
 
 def draw_map(scenes: Scenes, episode: int = 0) -> str:
-    """The scene in row `episode` as a map that `read_map` reads, all to the nearest place.
+    """Draw the scene in row `episode` as a map for `read_map`, each element and goal in the nearest place.
 
-    Of a scene that was read from a map the very same; sizes and speeds are lost. Raises ConfigError where a map cannot
-    show the scene: more than nine people, or two things in one place.
+    A scene that was read from a map gives the same scene again; sizes and speeds are lost. Raises ConfigError where a
+    map cannot show the scene: more than nine people, or two things in one place.
     """
-    start, goal, square = scenes.start[episode], scenes.goal[episode], scenes.square[episode]
-    people = np.flatnonzero(~square & ~np.isnan(start[:, 0]))[1:]
-    if len(people) > len(PEOPLE):
-        raise ConfigError(f"a map shows at most {len(PEOPLE)} people, and this scene has {len(people)}")
-    characters = ["R", "G", *PEOPLE[: len(people)], *"#" * square.sum(), *GOALS[: len(people)]]
-    points = np.concatenate((start[:1], goal[:1], start[people], start[square], goal[people])) / CELL
-    # The middle of the drawing is the middle of a place, or the corner of four: whichever fits better.
-    fits = [np.floor(points + 0.5), np.floor(points) + 0.5]
-    places = np.where(np.abs(fits[0] - points).sum(0) <= np.abs(fits[1] - points).sum(0), *fits)
-    columns, rows = (2 * np.abs(places).max(0) + 1).astype(int)
-    if max(rows, columns) > MOST_PLACES:
-        raise ConfigError(f"a map is at most {MOST_PLACES} places wide and high, not {columns} and {rows}")
-    drawn = np.full((rows, columns), ".")
-    for k, (character, (x, y)) in enumerate(zip(characters, places, strict=True)):
-        if character in GOALS and (places[k] == -places[2 + GOALS.index(character)]).all():
-            continue  # the place opposite goes without saying
-        at = int((rows - 1) / 2 - y), int(x + (columns - 1) / 2)
-        if drawn[at] != ".":
-            raise ConfigError(f"a map has one character a place, and {drawn[at]} and {character} share one here")
-        drawn[at] = character
-    text = "".join("".join(line) + "\n" for line in drawn)
+    text = "\n".join(_lines(scenes, episode)) + "\n"
     parse(text, "the drawing")
     return text
 
 
-def hindrance(scenes: Scenes, time_limit: float) -> str | None:
-    """Why nobody could bring the robot to its goal in the first episode, in words; None where nothing says so."""
+def why_unsolvable(scenes: Scenes, time_limit: float) -> str | None:
+    """Say why no policy can reach the goal of the first episode within `time_limit` s; None if nothing rules it out.
+
+    Squares and the distance can rule it out; people are left out.
+    """
     far = float(plan(scenes.take([0]), Planner(inflation=0.0)).at(np.array([0]), scenes.start[:1, 0])[0])
     if far >= UNREACHABLE:
         return "unsolvable, the squares leave no way to the goal (a passage must be two characters wide)"
@@ -82,6 +64,32 @@ def hindrance(scenes: Scenes, time_limit: float) -> str | None:
 
 
 def _scenes(drawing: Drawing) -> Scenes:
+    """The drawing's one episode, without noise."""
     places = [np.concatenate((end, drawing.squares))[None] for end in (drawing.start, drawing.goal)]
     square = np.arange(places[0].shape[1]) >= len(drawing.start)
-    return Scenes(*places, square=square, environment="map")
+    return Scenes(*places, square=square, environment=drawing.label)
+
+
+def _lines(scenes: Scenes, episode: int = 0) -> list[str]:
+    """The lines of a scene's map; raises ConfigError as `draw_map` does."""
+    start, goal, square = scenes.start[episode], scenes.goal[episode], scenes.square[episode]
+    people = np.flatnonzero(~square & ~np.isnan(start[:, 0]))[1:]
+    if len(people) > len(PEOPLE):
+        raise ConfigError(f"a map shows at most {len(PEOPLE)} people, and this scene has {len(people)}")
+    characters = ["R", "G", *PEOPLE[: len(people)], *"#" * square.sum(), *GOALS[: len(people)]]
+    points = np.concatenate((start[:1], goal[:1], start[people], start[square], goal[people])) / CELL
+    # The middle of the drawing is the middle of a place, or the corner of four: whichever fits better, in x and in y.
+    fits = [np.floor(points + 0.5), np.floor(points) + 0.5]
+    places = np.where(np.abs(fits[0] - points).sum(0) <= np.abs(fits[1] - points).sum(0), *fits)
+    columns, rows = (2 * np.abs(places).max(0) + 1).astype(int)
+    if max(rows, columns) > MOST_PLACES:
+        raise ConfigError(f"a map is at most {MOST_PLACES} places wide and high, not {columns} and {rows}")
+    drawn = np.full((rows, columns), ".")
+    for character, place in zip(characters, places, strict=True):
+        if character in GOALS and (place == -places[2 + GOALS.index(character)]).all():
+            continue  # the opposite place is the default
+        at = int((rows - 1) / 2 - place[1]), int(place[0] + (columns - 1) / 2)
+        if drawn[at] != ".":
+            raise ConfigError(f"a map has one character a place, and {drawn[at]} and {character} share one here")
+        drawn[at] = character
+    return ["".join(line) for line in drawn]
