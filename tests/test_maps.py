@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from sfmrl import draw_map, evaluate, load_map, load_policy, read_map, sample_scenes
 from sfmrl.config import Config, ConfigError, Planner
 from sfmrl.maps import why_unsolvable
+from sfmrl.maps.format import parse
 from sfmrl.planner import solvable
 from sfmrl.progress import no_progress
 from sfmrl.recovery import with_recovery
@@ -140,7 +141,7 @@ def test_episodes_differ_by_a_little_and_nobody_touches_anybody(lines, seed):
     assert hemmed or (robot > 0.6).all()  # to touch at the start would be a collision
 
 
-def test_episodes_of_one_map_are_not_one_episode_and_layouts_keep_their_robot_still():
+def test_episodes_of_a_map_differ_and_layouts_keep_their_robot_in_its_place():
     scenes = sample_scenes("map:G...1..R", 100)  # the person's goal, opposite, is beside the robot's
     for row in range(2):
         assert np.ptp(scenes.start[:, row], axis=0).min() > 0.17
@@ -193,7 +194,7 @@ def test_a_bad_map_is_named_with_line_and_column(text, message, tmp_path):
     assert str(of_file.value) == str(error.value).replace("m.txt", str(tmp_path / "m.txt"))
 
 
-def test_files_that_are_no_maps_are_said_to_be_none(tmp_path):
+def test_files_that_hold_no_map_are_refused(tmp_path):
     (tmp_path / "junk").write_bytes(bytes(range(256)))
     (tmp_path / "large").write_bytes(b";" * 200_000)
     for name, message in (("junk", "not text"), ("large", "larger"), ("nowhere", "no map"), (".", "is a folder")):
@@ -203,6 +204,30 @@ def test_files_that_are_no_maps_are_said_to_be_none(tmp_path):
         sample_scenes("map:R..", 1)
     with pytest.raises(ConfigError, match="':' means nothing"):
         sample_scenes("map:R..G:0.5,1:0.5", 1)
+
+
+def test_layouts_have_people_clear_of_squares_and_come_in_turn():
+    scenes = sample_scenes("maps", 40, seed=1)
+    assert scenes.environment[0] == "map-u"
+    np.testing.assert_array_equal(scenes.environment[:20], scenes.environment[20:])
+    assert len(set(scenes.environment)) == 20
+    for e in range(40):
+        square = scenes.square[e]
+        walkers = ~square & ~np.isnan(scenes.start[e, :, 0])
+        for places in (scenes.start[e, walkers], scenes.goal[e, walkers]):
+            apart = np.linalg.norm(places[:, None] - scenes.start[e, square], axis=-1)
+            assert apart.min() > 0.72
+        np.testing.assert_allclose(scenes.goal[e, walkers][1:], -scenes.start[e, walkers][1:])
+    again = sample_scenes("map-room", [12], seed=1)
+    np.testing.assert_array_equal(again.start[0, : len(again.start[0])], scenes.start[12, : again.start.shape[1]])
+
+
+def test_a_map_is_parsed_once_however_often_its_scenes_are_sampled(monkeypatch):
+    texts = []
+    monkeypatch.setattr("sfmrl.maps.parse", lambda text: texts.append(text) or parse(text))
+    for seed in range(3):
+        sample_scenes("map:R...G/#..1.", 2, seed)
+    assert texts == ["R...G\n#..1."]
 
 
 @pytest.mark.parametrize("environment", ["2", "4", "5", "map-u", "map-door-people", "map-medium-2"])
@@ -217,7 +242,7 @@ def test_sampled_scenes_are_drawn_to_the_nearest_place(environment):
         assert np.abs(one[:, :walkers] - other[:, :walkers]).max() <= 0.36
 
 
-def test_what_a_map_cannot_show_is_said():
+def test_scenes_that_no_map_can_show_are_refused():
     with pytest.raises(ConfigError, match="at most 9 people, and this scene has 10"):
         draw_map(sample_scenes("circle", 1))
     near = sample_scenes("map:R..G", 1)
@@ -229,7 +254,7 @@ def test_what_a_map_cannot_show_is_said():
         draw_map(near)
 
 
-def test_a_hindrance_is_a_passage_too_narrow_or_a_way_too_long():
+def test_a_scene_is_unsolvable_where_a_passage_is_too_narrow_or_the_way_too_long():
     wall = "\n".join(["#######", "#..R..#", "#.....#", "{}", ".......", "...G..."])
     for line, free in (("#######", False), ("###.###", False), ("###..##", True)):
         scene = read_map(wall.format(line))
