@@ -1,4 +1,4 @@
-"""Maps drawn in text: read and drawn to the same, bad ones named by line and column, and used by the commands."""
+"""Maps drawn in text: read and drawn to the same, bad ones named by line and column, layouts, and use by commands."""
 
 from collections.abc import Callable
 from contextlib import contextmanager

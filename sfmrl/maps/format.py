@@ -92,7 +92,7 @@ def parse(text: str, name: str = "map", whole: bool = True) -> Drawing:
 
 
 def _drawing(squares: np.ndarray, marks: dict[str, np.ndarray], where: dict[str, str]) -> Drawing:
-    """The scene of squares (S, 2) and marks (2,), checked; `where` in the text the marks are is for errors."""
+    """The scene of squares (S, 2) and marks (2,), checked; `where` has their lines and columns, for errors."""
     start, goal = [marks.get("R", np.array((0.0, -4.0)))], [marks.get("G", np.array((0.0, 4.0)))]
     for person, letter in zip(PEOPLE, GOALS, strict=True):
         if person in marks:
