@@ -122,7 +122,7 @@ def _squares(start: np.ndarray, square: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def generator(seed: int, stream: str, *number: int) -> np.random.Generator:
-    """The random numbers of one stream, e.g. a phase's scenes, or of one `number` (an episode) in it."""
+    """The generator of one of `STREAMS`, e.g. of a phase, or of one `number` (an episode) in it."""
     return np.random.default_rng([seed, STREAMS.index(stream), *number])
 
 
@@ -180,7 +180,7 @@ def sample_scenes(
 
 
 def thinned(scenes: Scenes, share: float, seed: int) -> Scenes:
-    """Keep only none to three of the people and squares in a `share` of the scenes; drawn by episode."""
+    """Thin a `share` of the scenes, chosen by episode: of their people and squares only none to three stay."""
     start, square = scenes.start.copy(), scenes.square.copy()
     for e, rng in enumerate(generator(seed, "sparse", number) for number in scenes.episode):
         if rng.random() < share:
@@ -217,12 +217,12 @@ def elements_of(mix: str) -> int:
 
 
 def label(environment: str) -> str:
-    """The name of an environment or a mix in reports: as it stands, or "map" for a drawing."""
+    """What reports call an environment or a mix: its name, or "map" for a drawing."""
     return "map" if environment.startswith(DRAWN) else environment
 
 
 def circle_of(people: int | None = None) -> float:
-    """Radius of the circle that people start on, m: beyond ten people it grows, so that they stand as close."""
+    """Radius of the circle that people start on, m: for more than ten people it grows, so that they stand as close."""
     return CIRCLE * max(1.0, (people or 0) / 10)
 
 
@@ -265,10 +265,9 @@ def environment_of(name: str) -> Environment:
 
 
 def _people_and_squares(builder: "Builder", which: np.ndarray) -> None:
-    people = np.array([(builder.rngs[e].random(10) < 0.6).sum() for e in which], dtype=int)  # in each episode
+    people = np.array([(builder.rngs[e].random(10) < 0.6).sum() for e in which], dtype=int)
     for row in range(1, 11):
         builder.person(which[people >= row], row)
-    for row in range(1, 11):
         builder.separate_square(which[people < row], row)
 
 
@@ -298,11 +297,11 @@ PAPER = {"1": _people_and_squares, "2": _fixed_barrier, "3": _barrier, "4": _two
 
 
 class Builder:
-    """E episodes in the making, whose people and squares are placed for many at once, each by its own generator.
+    """E episodes in the making: people and squares are placed one after the other, in many episodes at once.
 
-    A place is the first that fits of what an episode's generator proposes, ATTEMPTS proposals at a time; so an episode
-    does not depend on the others. `start` and `goal` (E, N, 2), in m, are NaN in rows not yet placed, `square` (E, N)
-    marks squares; `label` (E,) names each episode's environment and `numbers` (E,) are the episodes' numbers.
+    Each episode's generator proposes places, ATTEMPTS at a time, and the first that fits is taken; so an episode does
+    not depend on the others. `start` and `goal` (E, N, 2), in m, are NaN in rows not yet placed; `square` (E, N) marks
+    squares; `label` (E,) is the environment and `numbers` (E,) the number of each episode.
     """
 
     def __init__(self, rngs: list[np.random.Generator], numbers: np.ndarray, rows: int, circle: float) -> None:

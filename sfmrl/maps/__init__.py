@@ -33,7 +33,7 @@ from sfmrl.maps.draw import draw_map, load_map, read_map, why_unsolvable
 from sfmrl.maps.format import Drawing, parse
 from sfmrl.scenes import DRAWN, Builder, Environment
 
-__all__ = ["draw_map", "layouts", "load_map", "map_environment", "read_map", "why_unsolvable"]
+__all__ = ["Drawing", "draw_map", "layouts", "load_map", "map_environment", "read_map", "why_unsolvable"]
 
 
 @cache
