@@ -189,6 +189,7 @@ class Reinforcement(_Checked):
         "(Watkins, 1989); td drops time-outs, as CrowdNav",
         choices=("td", "returns"),
     )
+    retry: bool = knob(False, "play up to half of each round in scenes where the robot failed at its last try (ours)")
     target_interval: int = knob(50, "episodes between updates of the target network (CrowdNav)", 1, 10_000_000)
     memory: int = knob(100_000, "states kept to learn from (CrowdNav)", 1, 10_000_000)
     average: int = knob(

@@ -53,17 +53,17 @@ class Explorer:
         if self._pool:
             self._pool.shutdown(cancel_futures=True)
 
-    def start(self, actor: FastNetwork, episodes: Sequence[int]) -> Callable[[], Explored]:
-        """Begin to `explore`, where that is aside, and return what waits for the outcome or else does the work.
+    def start(self, actor: FastNetwork, *what: Sequence[int]) -> Callable[[], Explored]:
+        """Begin to `explore` the episodes and scenes `what`, and return a function that waits for the outcome.
 
-        The actor must stay as it is until then.
+        Without a process aside, that function does the work. The actor must stay as it is until then.
         """
-        here = partial(self._explore, actor, episodes)
+        here = partial(self._explore, actor, *what)
         if self._pool is None:
             return here
         weights = actor.flat.copy()
         try:
-            future = self._pool.submit(_explore_aside, weights, actor.sizes, self._config, self._threads, episodes)
+            future = self._pool.submit(_explore_aside, weights, actor.sizes, self._config, self._threads, *what)
         except BrokenProcessPool:
             self._pool = None
             return here
@@ -77,10 +77,10 @@ class Explorer:
 
         return outcome
 
-    def _explore(self, actor: FastNetwork, episodes: Sequence[int]) -> Explored:
+    def _explore(self, actor: FastNetwork, *what: Sequence[int]) -> Explored:
         if self._policy is None or self._policy.network is not actor:
             self._policy = SarlPolicy(actor, self._config, self._threads)
-        return explore(self._policy, self._config, episodes)
+        return explore(self._policy, self._config, *what)
 
 
 def _prepare() -> None:
@@ -96,18 +96,21 @@ def _policy(config: Config, threads: int, sizes: Sizes) -> SarlPolicy:
     return SarlPolicy(new_network(config, sizes=sizes), config, threads)
 
 
-def _explore_aside(
-    weights: np.ndarray, sizes: Sizes, config: Config, threads: int, episodes: Sequence[int]
-) -> Explored:
+def _explore_aside(weights: np.ndarray, sizes: Sizes, config: Config, threads: int, *what: Sequence[int]) -> Explored:
     policy = _policy(config, threads, sizes)
     policy.network.flat[:] = weights
-    return explore(policy, config, episodes)
+    return explore(policy, config, *what)
 
 
-def explore(policy: SarlPolicy, config: Config, episodes: Sequence[int]) -> Explored:
-    """Play training episodes with epsilon-greedy actions; their record, and which steps (E, T) were random."""
+def explore(
+    policy: SarlPolicy, config: Config, episodes: Sequence[int], numbers: Sequence[int] | None = None
+) -> Explored:
+    """Play training episodes with epsilon-greedy actions; their record, and which steps (E, T) were random.
+
+    They are played in the scenes of these `numbers`, by default their own; the episode decides what is random.
+    """
     settings = config.reinforcement
-    scenes = sample_scenes(settings.environment, episodes, config.seed, phase="train")
+    scenes = sample_scenes(settings.environment, episodes if numbers is None else numbers, config.seed, phase="train")
     scenes = thinned(scenes, config.sparse, config.seed)
     most = config.simulation.longest
     rngs = [generator(config.seed, "exploration", episode) for episode in episodes]
@@ -133,8 +136,9 @@ def epsilon(settings: Reinforcement, episode: np.ndarray) -> np.ndarray:
 
 
 def remember(learner: Learner, record: Record, random_steps: np.ndarray) -> None:
-    """Store the states of a record with the values to learn for them."""
+    """Store the states of a record with the values to learn for them, and note in which scenes the robot failed."""
     config, settings = learner.config, learner.config.reinforcement
+    learner.note_failures(record.scenes.episode, record.outcome)
     kept = np.flatnonzero((record.outcome != "timeout") | (settings.targets == "returns"))
     if not len(kept):
         return

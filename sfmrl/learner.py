@@ -15,7 +15,7 @@ from sfmrl.memory import Memory
 from sfmrl.scenes import generator
 
 PARTS = ("network", "actor", "target", "average", "optimizer", "memory")
-COUNTERS = ("episode", "batch", "rows", "validations")
+COUNTERS = ("episode", "batch", "failed", "rows", "validations")
 
 
 class Learner:
@@ -30,6 +30,7 @@ class Learner:
         self.optimizer = OPTIMIZERS[config.optimizer](network)
         self.rng = generator(config.seed, "batches")
         self.episode = self.batch = 0
+        self.failed: list[list[int]] = []  # scenes in which the robot failed at its last try, and the episode after it
         self.rows: list[dict[str, Any]] = []
         self.validations: list[dict[str, Any]] = []
 
@@ -63,6 +64,21 @@ class Learner:
         self.episode += episodes
         if renew:
             self.target.flat[:] = self.network.flat
+
+    def scenes_for(self, episodes: range) -> list[int]:
+        """The scenes in which to play the next episodes: their own or, in up to half of them, where it has failed.
+
+        Only failures that it has learnt from count, and not those of the round before, which is being learnt meanwhile.
+        """
+        learnt = [scene for scene, after in self.failed if after < episodes.start]
+        again = learnt[: len(episodes) // 2] if self.config.reinforcement.retry else []
+        return [*again, *episodes[len(again) :]]
+
+    def note_failures(self, scenes: np.ndarray, outcome: np.ndarray) -> None:
+        """Keep the numbers of the scenes (E,) whose episodes had another outcome (E,) than success, oldest first."""
+        tried, following = set(scenes.tolist()), self.episode + len(scenes)
+        self.failed = [pair for pair in self.failed if pair[0] not in tried]
+        self.failed += [[scene, following] for scene in scenes[outcome != "success"].tolist()]
 
     def renew_actor(self) -> None:
         """Let the next episodes be played with the network as it is now."""

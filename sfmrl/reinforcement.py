@@ -3,10 +3,10 @@
 Play with epsilon-greedy lookahead, store each state with the value its episode gave it, learn from random batches.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from sfmrl.episodes import Record
-from sfmrl.exploration import Explorer, remember
+from sfmrl.exploration import Explored, Explorer, remember
 from sfmrl.learner import Learner
 
 
@@ -18,16 +18,18 @@ def reinforce(learner: Learner, explorer: Explorer, until: int) -> Iterator[tupl
     """
     settings = learner.config.reinforcement
 
-    def next_round(first: int) -> range:
-        return range(first, min(first + settings.parallel, until))
+    def start(first: int) -> Callable[[], Explored]:
+        episodes = range(first, min(first + settings.parallel, until))
+        return explorer.start(learner.actor, episodes, learner.scenes_for(episodes))
 
-    ahead = explorer.start(learner.actor, next_round(learner.episode))
+    ahead = start(learner.episode)
     while learner.episode < until:
         record, was_random = ahead()  # played epsilon-greedily
         remember(learner, record, was_random)  # state -> value to learn
         learner.renew_actor()
-        if episodes := next_round(learner.episode + len(record.steps)):
-            ahead = explorer.start(learner.actor, episodes)
+        following = learner.episode + len(record.steps)
+        if following < until:
+            ahead = start(following)
         loss = learner.learn(len(record.steps) * settings.batches)  # gradient descent
         learner.advance(len(record.steps))  # renew the target network at its interval
         yield record, loss

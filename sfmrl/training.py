@@ -96,7 +96,11 @@ def train_stretch(
     until = min(settings.validation_interval * (learner.episode // settings.validation_interval + 1), settings.episodes)
     saved_at = time.monotonic()
     for record, loss in reinforce(learner, explorer, until):
-        rows = [row | {"loss": loss} for row in episode_rows(record)]
+        first = learner.episode - len(record.steps)
+        rows = [
+            {"episode": episode, "scene": row.pop("episode"), **row, "loss": loss}
+            for episode, row in enumerate(episode_rows(record), start=first)
+        ]
         learner.rows += rows
         run.append_rows("metrics.csv", rows)
         told(len(rows))

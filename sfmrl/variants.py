@@ -36,6 +36,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "epsilon_end": 0.05,
             "epsilon_episodes": 500,
             "targets": "returns",
+            "retry": True,
             "average": 300,
         },
     },

@@ -312,3 +312,20 @@ def test_imitation_improves_on_the_untrained_network():
     fitted = evaluate(SarlPolicy(fit.network, config), **task)
     untrained = evaluate(SarlPolicy(new_fit(config).network, config), **task)
     assert fitted["success"] >= untrained["success"] + 0.5
+
+
+def test_failed_scenes_are_tried_again_once_they_have_been_learnt_from_until_they_succeed():
+    config = tiny_config(retry=True)
+    learner = Learner(plain_network(), make_memory(config), config)
+    learner.note_failures(np.arange(8), np.array(["timeout", "success", "collision", *["success"] * 5]))
+    assert learner.scenes_for(range(8, 16)) == [*range(8, 16)]  # being learnt from while these are played
+    learner.advance(8)
+    learner.note_failures(np.arange(8, 16), np.array(["collision"] * 6 + ["success"] * 2))
+    assert learner.scenes_for(range(16, 20)) == [0, 2, 18, 19]
+    learner.advance(8)
+    learner.note_failures(np.array([0, 2, 18, 19]), np.array(["success", "timeout", "success", "success"]))
+    learner.advance(4)
+    assert learner.scenes_for(range(24, 40)) == [8, 9, 10, 11, 12, 13, 2, *range(31, 40)]
+    without = Learner(plain_network(), make_memory(config), tiny_config())
+    without.note_failures(np.arange(4), np.array(["timeout"] * 4))
+    assert without.scenes_for(range(8, 12)) == [8, 9, 10, 11]
