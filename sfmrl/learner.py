@@ -1,7 +1,6 @@
 """A training on its way: the networks, the memory and the counters of deep V-learning, and a batch's step.
 
-The target network gives the values that others bootstrap from and is renewed at intervals; the average follows the
-network slowly and is what a quick training is tested with (Polyak and Juditsky, 1992).
+The target network gives the values that others bootstrap from, and is renewed at intervals.
 """
 
 from typing import Any
@@ -14,7 +13,7 @@ from sfmrl.learning import OPTIMIZERS, forget, generator_state, learn, mean_loss
 from sfmrl.memory import Memory
 from sfmrl.scenes import generator
 
-PARTS = ("network", "actor", "target", "average", "optimizer", "memory")
+PARTS = ("network", "actor", "target", "optimizer", "memory")
 COUNTERS = ("episode", "batch", "failed", "rows", "validations")
 
 
@@ -24,7 +23,6 @@ class Learner:
     def __init__(self, network: FastNetwork, memory: Memory, config: Config) -> None:
         self.config, self.memory, self.network = config, memory, network
         self.target = network.copy()
-        self.average = network.copy()
         # What explores: the network itself, or what it was before the batches that are being learnt meanwhile.
         self.actor = network.copy() if config.reinforcement.parallel > 1 else network
         self.optimizer = OPTIMIZERS[config.optimizer](network)
@@ -33,11 +31,6 @@ class Learner:
         self.failed: list[list[int]] = []  # scenes in which the robot failed at its last try, and the episode after it
         self.rows: list[dict[str, Any]] = []
         self.validations: list[dict[str, Any]] = []
-
-    @property
-    def tested(self) -> FastNetwork:
-        """The network that validation and test use."""
-        return self.average if self.config.reinforcement.average else self.network
 
     def learn(self, batches: int) -> float:
         """So many batches of gradient descent on what is stored; returns their mean loss (NaN without any)."""
@@ -52,8 +45,6 @@ class Learner:
             progress = self.batch / max(settings.episodes * settings.batches, 1)
             rate = self.optimizer.rate(settings.learning_rate, progress)
             losses.append(learn(self.network, self.optimizer, rate, *self.memory.take(rows)))
-            if settings.average:
-                follow(self.average, self.network, 1 / settings.average)
             self.batch += 1
         return mean_loss(losses, self.optimizer, settings) if losses else float("nan")
 
@@ -97,8 +88,3 @@ class Learner:
         for name in COUNTERS:
             setattr(self, name, saved[name])
         set_generator_state(self.rng, saved["rng"])
-
-
-def follow(average: FastNetwork, network: FastNetwork, share: float) -> None:
-    """Move an average's parameters by `share` of the way to a network's."""
-    average.flat += np.float32(share) * (network.flat - average.flat)

@@ -35,7 +35,7 @@ def _row(success: tuple, collision: tuple, navigation_time: tuple, total_reward:
 TABLES = {
     1: Table(
         "table1",
-        {"paper": 10_000, "quick": 2000},
+        {"paper": 10_000, "quick": 1000},
         500,
         {
             "sarl": _row((0.96, 0.97), (0.02, 0.01), (10.85, 11.77), (0.3059, 0.2850)),
@@ -49,7 +49,7 @@ TABLES = {
     ),
     2: Table(
         "table2",
-        {"paper": 15_000, "quick": 3000},  # half as many again as for table 1
+        {"paper": 15_000, "quick": 1500},  # half as many again as for table 1
         1000,
         {
             "sarl": _row((0.901,), (0.001,), (10.54,), (0.3046,)),

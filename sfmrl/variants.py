@@ -37,7 +37,6 @@ PRESETS: dict[str, dict[str, Any]] = {
             "epsilon_episodes": 500,
             "targets": "returns",
             "retry": True,
-            "average": 300,
         },
     },
 }

@@ -16,7 +16,7 @@ from sfmrl.evaluation import evaluate
 from sfmrl.exploration import epsilon, explore, remember
 from sfmrl.fast import FastNetwork, new_network
 from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
-from sfmrl.learner import Learner, follow
+from sfmrl.learner import Learner
 from sfmrl.learning import OPTIMIZERS, Fit, forget, generator_state, learn, set_generator_state
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.memory import Memory
@@ -239,13 +239,6 @@ def test_the_target_network_is_renewed_at_its_interval_whatever_is_played_side_b
     learner.advance(32)  # past 50
     np.testing.assert_array_equal(learner.target.flat, learner.network.flat)
     assert learner.episode == 64
-
-
-def test_the_average_follows_the_network():
-    one, other = plain_network(1), plain_network(2)
-    expected = 0.75 * one.flat + 0.25 * other.flat
-    follow(one, other, 0.25)
-    np.testing.assert_allclose(one.flat, expected, rtol=1e-6, atol=1e-8)
 
 
 def test_validations_are_due_at_their_interval_once_and_at_the_end():
