@@ -15,9 +15,9 @@ from sfmrl.config import ConfigError, Reward
 from sfmrl.episodes import Record
 from sfmrl.geometry import length
 from sfmrl.lookahead import step_discount
+from sfmrl.replay import Story, tell
 from sfmrl.rewards import Terms, reward_terms, total
 from sfmrl.sfm import resultant
-from sfmrl.story import Story, tell
 
 # The paper's rewards, by the names under which their accounts are shown.
 REWARDS = {

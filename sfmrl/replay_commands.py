@@ -91,7 +91,7 @@ def ascii_render(
         for picture in replay.frames(*room, frames or 6, at):
             out.print(picture.text if out.is_terminal else picture.plain, markup=False, highlight=False, soft_wrap=True)
     else:
-        from sfmrl.screen import play_live
+        from sfmrl.replay import play_live
 
         def draw(t: int, columns: int, lines: int) -> Any:
             return replay.frame(t, *(room if size else (columns, lines))).text
@@ -133,8 +133,7 @@ def _play(
     """
     from sfmrl.episodes import play_episodes
     from sfmrl.maps import why_unsolvable
-    from sfmrl.replay import Replay
-    from sfmrl.story import tell
+    from sfmrl.replay import Replay, tell
 
     policies = [choose(name, settings, threads, trust_reward) for name in names]
     config = policies[0][2]
@@ -154,8 +153,8 @@ def _play(
 
 def _write(files: dict[str, Path], replay: Any, room: tuple[int, int], stills: dict[str, Any], speed: float) -> None:
     """Write the replay to the files of some flags, and say so; `stills` is what `Replay.frames` takes for a picture."""
-    from sfmrl.exports import to_cast, to_svg
     from sfmrl.files import write_atomically
+    from sfmrl.replay import to_cast, to_svg
 
     colour = not out.no_color
     for flag, path in files.items():

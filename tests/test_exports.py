@@ -13,10 +13,10 @@ from conftest import environment
 from rich.cells import cell_len
 
 from sfmrl.episodes import play
-from sfmrl.exports import HOLD, to_cast, to_svg
-from sfmrl.replay import BESIDE, STACKED, WHOLE, Replay
+from sfmrl.replay.frames import BESIDE, STACKED, WHOLE, Replay
+from sfmrl.replay.recordings import HOLD, to_cast, to_svg
+from sfmrl.replay.story import tell
 from sfmrl.scenes import sample_scenes
-from sfmrl.story import tell
 
 PLAIN = {"0", "1", "2", "7", "1;2", "1;7", "2;7"}  # bold, dim and reverse, but no colour
 SVG = "{http://www.w3.org/2000/svg}"

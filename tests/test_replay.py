@@ -12,16 +12,16 @@ from rich.console import Console
 from rich.text import Text
 
 from sfmrl.actions import ACTIONS
-from sfmrl.canvas import Canvas, View, fit_view
 from sfmrl.config import Reward, Simulation
 from sfmrl.episodes import Record, play
 from sfmrl.lookahead import Lookahead, SarlPolicy
-from sfmrl.panel import SHADES, action_disc
-from sfmrl.replay import Replay, scene_picture, strip
+from sfmrl.replay.canvas import Canvas, View, fit_view
+from sfmrl.replay.frames import Replay, scene_picture, strip
+from sfmrl.replay.panel import SHADES, action_disc
+from sfmrl.replay.screen import Player, play_live
+from sfmrl.replay.story import tell
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenes import Scenes, sample_scenes
-from sfmrl.screen import Player, play_live
-from sfmrl.story import tell
 from sfmrl.variants import make_config
 
 SIZES = [(80, 24), (120, 40), (60, 16), (40, 12), (200, 50), (20, 8), (9, 4), (1, 1)]

@@ -8,11 +8,11 @@ elements, then all terms of the reward, then whose repulsion is strongest, then 
 import numpy as np
 from rich.text import Text
 
-from sfmrl.canvas import FAINT, PUSH, PUSHES, ROBOT, WATCHED, arrow, fitted
 from sfmrl.geometry import length
+from sfmrl.replay.canvas import FAINT, PUSH, PUSHES, ROBOT, WATCHED, arrow, fitted
+from sfmrl.replay.story import Story, number
+from sfmrl.replay.timeline import ENDS
 from sfmrl.sfm import resultant
-from sfmrl.story import Story, number
-from sfmrl.timeline import ENDS
 
 EIGHTHS = " ▏▎▍▌▋▊▉"
 SHADES = "·░▒▓█"  # a fifth of the actions each, the worst first

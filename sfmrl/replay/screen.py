@@ -17,7 +17,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from sfmrl.canvas import FAINT, fitted, to_ascii
+from sfmrl.replay.canvas import FAINT, fitted, to_ascii
 
 SPEEDS = (0.01, 64.0)  # times real time, the slowest and the fastest
 GLANCE = 0.2  # s, the longest time without a look at the terminal's size

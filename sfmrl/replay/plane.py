@@ -7,7 +7,8 @@ one cell. Velocities have single arrows, the resultant of the repulsive forces a
 import numpy as np
 from rich.text import Text
 
-from sfmrl.canvas import (
+from sfmrl.geometry import direction, length
+from sfmrl.replay.canvas import (
     ARROWS,
     BAD,
     FAINT,
@@ -23,9 +24,8 @@ from sfmrl.canvas import (
     View,
     octant,
 )
-from sfmrl.geometry import direction, length
+from sfmrl.replay.story import Story, number
 from sfmrl.sfm import resultant
-from sfmrl.story import Story, number
 
 MEMORY = 8  # moments that a person's trail goes back
 FINE = 4  # points of the robot's trail a step

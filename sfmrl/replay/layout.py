@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from rich.text import Text
 
-from sfmrl.canvas import View, fit_view, fitted, to_ascii
-from sfmrl.panel import facts_lines, panel_lines
-from sfmrl.plane import bordered, moment
-from sfmrl.story import Story
-from sfmrl.timeline import sentence, timeline
+from sfmrl.replay.canvas import View, fit_view, fitted, to_ascii
+from sfmrl.replay.panel import facts_lines, panel_lines
+from sfmrl.replay.plane import bordered, moment
+from sfmrl.replay.story import Story
+from sfmrl.replay.timeline import sentence, timeline
 
 PANEL = (32, 44)  # columns of the panel, at least and at most
 PANELLED = 9  # lines of facts below a plane from which they are a panel

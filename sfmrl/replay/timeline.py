@@ -2,8 +2,8 @@
 
 from rich.text import Text
 
-from sfmrl.canvas import BAD, FAINT, GOAL, LATE, ROBOT, fitted
-from sfmrl.story import Story, number
+from sfmrl.replay.canvas import BAD, FAINT, GOAL, LATE, ROBOT, fitted
+from sfmrl.replay.story import Story, number
 
 ENDS = {"success": ("★", GOAL), "collision": ("X", BAD), "timeout": ("T", LATE)}  # an outcome's mark and its style
 

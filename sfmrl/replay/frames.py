@@ -12,12 +12,12 @@ from typing import TypeVar
 import numpy as np
 from rich.text import Text
 
-from sfmrl.canvas import FAINT, GOAL, PERSON, ROBOT, SQUARE, Canvas, fitted, styled, tidy, to_ascii
 from sfmrl.geometry import direction
-from sfmrl.layout import Side, Size, joined
-from sfmrl.plane import bordered, draw
+from sfmrl.replay.canvas import FAINT, GOAL, PERSON, ROBOT, SQUARE, Canvas, fitted, styled, tidy, to_ascii
+from sfmrl.replay.layout import Side, Size, joined
+from sfmrl.replay.plane import bordered, draw
+from sfmrl.replay.story import Story, scene_name
 from sfmrl.scenes import Scenes
-from sfmrl.story import Story, scene_name
 
 BESIDE = 61  # columns from which two policies stand side by side, else one above the other
 WHOLE = 161  # ... and from which each has its panel

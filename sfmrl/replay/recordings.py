@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.text import Text
 
-from sfmrl.replay import Frame
+from sfmrl.replay.frames import Frame
 
 HOLD = 2.0  # s that a recording shows its last frame
 # Rich's own, without the typeface that it would fetch: fonts that a reader has, in the size at which the first one's
