@@ -78,10 +78,12 @@ def ascii_render(
     if scenes:
         _print_scenes(environment, sample, room, ascii_only)
         return
-    from sfmrl.replay import BESIDE, STACKED
+    from sfmrl.replay import SIDE_BY_SIDE_COLUMNS, STACKED_LINES
 
-    if versus and not (room[0] >= BESIDE or room[1] >= STACKED):
-        raise ConfigError(f"--versus needs {BESIDE} columns or {STACKED} lines; here are {room[0]} and {room[1]}")
+    if versus and not (room[0] >= SIDE_BY_SIDE_COLUMNS or room[1] >= STACKED_LINES):
+        raise ConfigError(
+            f"--versus needs {SIDE_BY_SIDE_COLUMNS} columns or {STACKED_LINES} lines; here are {room[0]} and {room[1]}"
+        )
     names = [policy, versus] if versus else [policy]
     replay = _play(names, environment, sample, settings, threads, trust_reward)
     replay = dataclasses.replace(replay, ascii_only=ascii_only)
@@ -133,7 +135,7 @@ def _play(
     """
     from sfmrl.episodes import play_episodes
     from sfmrl.maps import why_unsolvable
-    from sfmrl.replay import Replay, tell
+    from sfmrl.replay import Replay, make_story
 
     policies = [choose(name, settings, threads, trust_reward) for name in names]
     config = policies[0][2]
@@ -144,7 +146,7 @@ def _play(
     stories = []
     for policy, _, _ in policies:
         record = play_episodes(scene, policy, *how, discount=config.discount)
-        stories.append(tell(record, 0, policy, config.reward, config.discount))
+        stories.append(make_story(record, 0, policy, config.reward, config.discount))
     labels = [Path(name).name for _, name, _ in policies]
     if len(set(labels)) < len(labels):  # runs of one name in two folders
         labels = [name for _, name, _ in policies]

@@ -70,7 +70,6 @@ LEVELS = (
         "replay.plane",
         "replay.timeline",
         "replay.panel",
-        "replay.layout",
         "replay.frames",
         "replay.screen",
         "replay.recordings",
