@@ -87,7 +87,7 @@ class Replay:
     def frames(
         self, width: int = 80, height: int = 24, count: int | None = None, at: float | None = None
     ) -> list[Frame]:
-        """All frames, or `count` evenly spaced ones, or the one `at` that many seconds, at most the last."""
+        """All frames, or `count` evenly spaced ones, or the one nearest to the time `at` in s."""
         moments = range(self.last + 1) if count is None else evenly_spaced(self.last, count)
         if at is not None:
             moments = [round(min(at / self.time_step, self.last))]
@@ -186,7 +186,7 @@ def scene_picture(
     canvas = Canvas(layout.view)
     for person in np.flatnonzero(~square)[1:]:
         canvas.put(goal[person], "x", DIM)
-    draw_scene(canvas, start, heading, goal[0], scenes.radius[episode], square)
+    draw_scene(canvas, start, heading, goal[0], scenes.radius[episode], square, marked={}, push=np.zeros(2))
     lines = canvas.lines()
     if layout.bordered:
         lines = bordered(lines, scene_name(scenes.environment[episode], scenes.episode[episode]), layout.view)

@@ -21,7 +21,6 @@ DISC_ROWS = (13, 11, 9, 7)  # sizes of the disc of actions
 DISC_WORDS = 17  # columns beside it
 FIRST_ELEMENTS, FIRST_TERMS = 4, 2  # elements, and terms of the reward, that come before the disc
 LISTED_REPULSIONS = 3
-TABLE_COLUMNS = (28, 40)  # width from which a table without, and with, attention has the elements' repulsions
 
 
 def panel_lines(story: Story, t: int, rows: int, columns: int) -> list[Text]:
@@ -106,7 +105,8 @@ def _force(force: np.ndarray) -> Text:
 
 
 def _table_has_repulsions(story: Story, columns: int) -> bool:
-    return columns >= TABLE_COLUMNS[story.attention is not None]
+    """Whether a table of this width shows each element's repulsion, beside its attention if there is any."""
+    return columns >= (28 if story.attention is None else 40)
 
 
 def _elements(story: Story, t: int, rows: int, columns: int) -> list[Text]:

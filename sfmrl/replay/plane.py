@@ -47,10 +47,10 @@ def draw_moment(story: Story, t: int, view: View, people_trails: bool) -> Canvas
     share = np.arange(TRAIL_POINTS)[:, None, None] / TRAIL_POINTS
     trail = (1 - share) * story.position[:t, 0] + share * story.position[1 : t + 1, 0]  # (TRAIL_POINTS, t, 2)
     canvas.dots(trail[length(trail - story.position[t, 0]) > story.radius[0]], ROBOT)
-    marked = {int(story.attention[t].argmax()) + 1: MOST_ATTENTION} if story.attention is not None else {}
-    hit = story.hit if t == story.last else story.hit[:0]
+    marked = {} if story.attention is None else {1 + story.attention[t].argmax(): MOST_ATTENTION}
+    hit = story.hit if t == story.last else ()
     if len(hit):
-        marked |= {int(row): DANGER for row in (0, *hit)}
+        marked |= dict.fromkeys((0, *hit), DANGER)
     push = resultant(story.force[t])
     draw_scene(canvas, story.position[t], story.velocity[t], story.goal[0], story.radius, story.square, marked, push)
     for row in hit:
@@ -61,13 +61,12 @@ def draw_moment(story: Story, t: int, view: View, people_trails: bool) -> Canvas
     return canvas
 
 
-def draw_scene(canvas: Canvas, position, velocity, goal, radius, square, marked=None, push=(0.0, 0.0)) -> None:
+def draw_scene(canvas: Canvas, position, velocity, goal, radius, square, marked: dict, push: np.ndarray) -> None:
     """Draw squares, the robot's goal, people and the robot; the later ones cover the earlier ones.
 
     `position` and `velocity` (N, 2) in m and m/s, `goal` (2,) the robot's, `radius` (N,) in m, `square` (N,) bool;
     `marked` has styles for some of the rows, `push` (2,) is the force on the robot in m/s^2.
     """
-    marked = marked or {}
     canvas.squares(position[square], radius[square], SQUARE)
     for row in np.flatnonzero(square):
         canvas.put(position[row], glyph_of(row), f"{marked.get(row, SQUARE)} reverse")
@@ -77,7 +76,7 @@ def draw_scene(canvas: Canvas, position, velocity, goal, radius, square, marked=
         canvas.dots(position[row] + radius[row] * UNIT_RING, marked.get(row, DIM if row else ROBOT))
     # Where both arrows of the robot would share a cell, the force takes the next one.
     same_cell = octant(push) == octant(velocity[0]) and length(velocity[0]) > ARROW_RANGE[0]
-    _draw_arrow(canvas, position[0], np.asarray(push), radius[0], FORCE_ARROWS, FORCE, 2 if same_cell else 1)
+    _draw_arrow(canvas, position[0], push, radius[0], FORCE_ARROWS, FORCE, 2 if same_cell else 1)
     for row in discs:
         style = marked.get(row, "" if row else ROBOT)
         _draw_arrow(canvas, position[row], velocity[row], radius[row], VELOCITY_ARROWS, style)
