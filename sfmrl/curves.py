@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 from rich.text import Text
 
-from sfmrl.canvas import Canvas, View, fitted
 from sfmrl.config import counted
 from sfmrl.intervals import mean_interval
+from sfmrl.replay.canvas import Canvas, View, fitted
 from sfmrl.results import Trained
 
 LINE, BAND = "bold cyan", "grey50"

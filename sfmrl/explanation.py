@@ -15,9 +15,9 @@ from sfmrl.config import ConfigError, Reward
 from sfmrl.episodes import Record
 from sfmrl.geometry import length
 from sfmrl.lookahead import step_discount
+from sfmrl.replay import Story, make_story
 from sfmrl.rewards import Terms, reward_terms, total
 from sfmrl.sfm import resultant
-from sfmrl.story import Story, tell
 
 # The paper's rewards, by the names under which their accounts are shown.
 REWARDS = {
@@ -76,7 +76,7 @@ def explain_episode(record: Record, row: int, policy: Any, reward: Reward, disco
     Each step's row has the terms of `reward` by their names, and those of all rewards as "sfm: distance" and so on.
     Values of actions are there for policies that look ahead, and where anybody is to be seen.
     """
-    story = tell(record, row, policy, reward, discount)
+    story = make_story(record, row, policy, reward, discount)
     one = record.take(np.array([row]))
     transition = one.transition[0, : story.last]
     factors = float(step_discount(discount, one.scenes.v_pref[0, 0], one.simulation)) ** np.arange(story.last)

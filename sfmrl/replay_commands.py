@@ -78,10 +78,12 @@ def ascii_render(
     if scenes:
         _print_scenes(environment, sample, room, ascii_only)
         return
-    from sfmrl.replay import BESIDE, STACKED
+    from sfmrl.replay import SIDE_BY_SIDE_COLUMNS, STACKED_LINES
 
-    if versus and not (room[0] >= BESIDE or room[1] >= STACKED):
-        raise ConfigError(f"--versus needs {BESIDE} columns or {STACKED} lines; here are {room[0]} and {room[1]}")
+    if versus and not (room[0] >= SIDE_BY_SIDE_COLUMNS or room[1] >= STACKED_LINES):
+        raise ConfigError(
+            f"--versus needs {SIDE_BY_SIDE_COLUMNS} columns or {STACKED_LINES} lines; here are {room[0]} and {room[1]}"
+        )
     names = [policy, versus] if versus else [policy]
     replay = _play(names, environment, sample, settings, threads, trust_reward)
     replay = dataclasses.replace(replay, ascii_only=ascii_only)
@@ -91,7 +93,7 @@ def ascii_render(
         for picture in replay.frames(*room, frames or 6, at):
             out.print(picture.text if out.is_terminal else picture.plain, markup=False, highlight=False, soft_wrap=True)
     else:
-        from sfmrl.screen import play_live
+        from sfmrl.replay import play_live
 
         def draw(t: int, columns: int, lines: int) -> Any:
             return replay.frame(t, *(room if size else (columns, lines))).text
@@ -133,8 +135,7 @@ def _play(
     """
     from sfmrl.episodes import play_episodes
     from sfmrl.maps import why_unsolvable
-    from sfmrl.replay import Replay
-    from sfmrl.story import tell
+    from sfmrl.replay import Replay, make_story
 
     policies = [choose(name, settings, threads, trust_reward) for name in names]
     config = policies[0][2]
@@ -145,7 +146,7 @@ def _play(
     stories = []
     for policy, _, _ in policies:
         record = play_episodes(scene, policy, *how, discount=config.discount)
-        stories.append(tell(record, 0, policy, config.reward, config.discount))
+        stories.append(make_story(record, 0, policy, config.reward, config.discount))
     labels = [Path(name).name for _, name, _ in policies]
     if len(set(labels)) < len(labels):  # runs of one name in two folders
         labels = [name for _, name, _ in policies]
@@ -154,8 +155,8 @@ def _play(
 
 def _write(files: dict[str, Path], replay: Any, room: tuple[int, int], stills: dict[str, Any], speed: float) -> None:
     """Write the replay to the files of some flags, and say so; `stills` is what `Replay.frames` takes for a picture."""
-    from sfmrl.exports import to_cast, to_svg
     from sfmrl.files import write_atomically
+    from sfmrl.replay import to_cast, to_svg
 
     colour = not out.no_color
     for flag, path in files.items():

@@ -93,8 +93,7 @@ def figure(
     from rich.text import Text
 
     from sfmrl.curves import curve_rows, draw_curves
-    from sfmrl.exports import to_svg
-    from sfmrl.replay import Frame
+    from sfmrl.replay import Frame, to_svg
 
     make_config(preset)
     for flag, path in (("csv", csv), ("svg", svg)):

@@ -11,10 +11,9 @@ import numpy as np
 from rich.text import Text
 
 from sfmrl.curves import curve_rows, draw_curves
-from sfmrl.exports import to_svg
 from sfmrl.files import csv_text
 from sfmrl.findings import Figures, contrasts, summarise
-from sfmrl.replay import Frame
+from sfmrl.replay import Frame, to_svg
 from sfmrl.reports import csv_rows, sheets
 from sfmrl.tables import TABLES
 

@@ -64,7 +64,18 @@ LEVELS = (
         "training",
     ),
     ("tables", "results", "findings", "reports", "comparison", "campaign", "cluster"),
-    ("canvas", "story", "timeline", "panel", "plane", "layout", "screen", "replay", "exports", "curves"),
+    (
+        "replay.story",
+        "replay.canvas",
+        "replay.plane",
+        "replay.timeline",
+        "replay.panel",
+        "replay.frames",
+        "replay.screen",
+        "replay.recordings",
+        "replay",
+        "curves",
+    ),
     ("explanation", "run_replay", "verification", "doctor"),
     (
         "completion",
@@ -111,7 +122,7 @@ def imports(path: Path, top_only: bool = False) -> set[str]:
 
 def test_the_package_is_nearly_flat_and_every_file_has_its_place():
     folders = {path.name for path in (ROOT / "sfmrl").iterdir() if path.is_dir()}
-    assert folders - {"__pycache__"} == {"models", "fast", "maps"}  # models: trained networks and their cards, no code
+    assert folders - {"__pycache__"} == {"models", "fast", "maps", "replay"}  # models: no code
     assert {path.suffix for path in MODELS} == {".json", ".npz"}
     assert set(map(name_of, FILES)) == set(ORDER)
     assert len(ORDER) == len(set(ORDER))

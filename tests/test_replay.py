@@ -1,27 +1,33 @@
 """Replay frames: they fit, they show what is where, and they say what the record says."""
 
-import io
-import os
-import sys
+import re
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
 from sfmrl.actions import ACTIONS
-from sfmrl.canvas import Canvas, View, fit_view
 from sfmrl.config import Reward, Simulation
 from sfmrl.episodes import Record, play
 from sfmrl.lookahead import Lookahead, SarlPolicy
-from sfmrl.panel import SHADES, action_disc
-from sfmrl.replay import Replay, scene_picture, strip
+from sfmrl.policies import linear_policy, orca_policy
+from sfmrl.replay.canvas import Canvas, View, fit_view
+from sfmrl.replay.frames import (
+    SIDE_BY_SIDE_COLUMNS,
+    STACKED_LINES,
+    TWO_PANELS_COLUMNS,
+    Replay,
+    evenly_spaced,
+    scene_picture,
+)
+from sfmrl.replay.panel import SHADES, action_disc
+from sfmrl.replay.story import make_story
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenes import Scenes, sample_scenes
-from sfmrl.screen import Player, play_live
-from sfmrl.story import tell
 from sfmrl.variants import make_config
 
 SIZES = [(80, 24), (120, 40), (60, 16), (40, 12), (200, 50), (20, 8), (9, 4), (1, 1)]
@@ -41,12 +47,13 @@ class Eyes:
         return Lookahead(actions, actions[..., 0], actions[..., 0].argmax(1))
 
 
-def make_frames(record, *, policy=None, label="", reward=None, discount=None, width=80, height=24, ascii_only=False):
+def frames_of(record, policy=None, *, label="", reward=Reward(), width=80, height=24, ascii_only=False):
     """All frames of a record's first episode, as `policy` sees it."""
-    return Replay((tell(record, 0, policy, reward, discount),), (label,), ascii_only).frames(width, height)
+    story = make_story(record, 0, policy, reward, 0.9)
+    return Replay((story,), (label,), ascii_only).frames(width, height)
 
 
-def record_of(position, *, outcome=SUCCESS, separations=None, square=False, goal=(0.0, 4.0), reward=0.0):
+def record_of(position, *, outcome=SUCCESS, separations=None, square=False, goal=(0.0, 4.0)):
     """A record of one episode with these positions (T + 1, N, 2); nobody is near unless `separations` (T, K) say so."""
     position = np.asarray(position, dtype=float)
     steps, rows = len(position) - 1, position.shape[1]
@@ -73,7 +80,7 @@ def record_of(position, *, outcome=SUCCESS, separations=None, square=False, goal
         position=position[None],
         velocity=velocity[None],
         transition=transition[None],
-        reward=np.full((1, steps), reward),
+        reward=np.zeros((1, steps)),
         discounted_return=np.zeros(1),
     )
 
@@ -112,7 +119,7 @@ def played():
 def test_frames_fit_and_show_the_robot(width, height, ascii_only):
     scenes = sample_scenes("2", [2])
     record, policy = play(scenes, "orca"), Eyes(*np.full(10, 0.1))
-    frames = make_frames(record, policy=policy, label="eyes", width=width, height=height, ascii_only=ascii_only)
+    frames = frames_of(record, policy=policy, label="eyes", width=width, height=height, ascii_only=ascii_only)
     assert len(frames) == record.steps[0] + 1
     for frame in frames:
         assert_fits(frame.plain, width, height)
@@ -123,7 +130,7 @@ def test_frames_fit_and_show_the_robot(width, height, ascii_only):
 
 
 def test_seven_bits_whatever_the_label():
-    for frame in make_frames(record_of(walk()), label="Straße\n漢字 [bold]", ascii_only=True):
+    for frame in frames_of(record_of(walk()), label="Straße\n漢字 [bold]", ascii_only=True):
         assert frame.plain.isascii()
         assert "[bold]" in frame.plain
         assert_fits(frame.plain, 80, 24)
@@ -154,7 +161,7 @@ def test_a_column_is_half_a_row_so_that_circles_look_round():
 def test_robot_goal_and_people_stand_where_the_record_says():
     path = walk()
     path[:, 0, 0] = np.linspace(-3.0, 3.0, len(path))
-    frames = make_frames(record_of(path, goal=(3.0, 4.0)), ascii_only=True)
+    frames = frames_of(record_of(path, goal=(3.0, 4.0)), ascii_only=True)
     goal = find("*", frames[0])
     height = 8.0 / (find("@", frames[0]) - goal)[0]  # m a row: the robot starts 8 m below its goal
     assert 0.3 < height < 0.5
@@ -168,11 +175,11 @@ def test_headings_are_drawn_next_to_those_who_move():
     path = walk(others=((2.0, 0.0), (-2.0, 0.0), (2.0, 2.0)))
     path[:, 1, 0] += 0.2 * np.arange(9)  # person 1 to the right
     path[:, 2, 0] -= 0.2 * np.arange(9)  # person 2 to the left, person 3 stands
-    picture = make_frames(record_of(path))[4].plain
+    picture = frames_of(record_of(path))[4].plain
     assert "1→" in picture
     assert "←2" in picture
     assert not any(f"3{arrow}" in picture or f"{arrow}3" in picture for arrow in "→↗↑↖←↙↓↘")
-    robot, above = find("@", make_frames(record_of(path))[4]), find("↑", make_frames(record_of(path))[4])
+    robot, above = find("@", frames_of(record_of(path))[4]), find("↑", frames_of(record_of(path))[4])
     assert tuple(robot - above) == (1, 0)
 
 
@@ -180,7 +187,7 @@ def test_touching_squares_join():
     row = [(x, 1.0) for x in (-0.6, 0.0, 0.6)]
     record = record_of(walk(others=row), square=np.array([False, True, True, True]))
     for width, height in ((80, 24), (120, 40)):
-        lines = make_frames(record, width=width, height=height, ascii_only=True)[0].plain.split("\n")
+        lines = frames_of(record, width=width, height=height, ascii_only=True)[0].plain.split("\n")
         line = next(line for line in lines if "1" in line and "2" in line and "3" in line)
         wall = line[line.index("1") : line.index("3") + 1]
         assert set(wall) == set("123#")
@@ -190,11 +197,11 @@ def test_touching_squares_join():
 
 def test_many_few_and_absent_elements():
     angle = np.arange(25) * 0.25
-    many = make_frames(record_of(walk(others=3 * np.stack((np.cos(angle), np.sin(angle)), -1))))
+    many = frames_of(record_of(walk(others=3 * np.stack((np.cos(angle), np.sin(angle)), -1))))
     assert all(name in many[0].plain for name in "123456789abcdefghijklmnop")
-    alone = make_frames(record_of(walk(others=())), policy=Eyes())
+    alone = frames_of(record_of(walk(others=())), policy=Eyes())
     assert "nobody" in alone[0].plain
-    absent = make_frames(record_of(walk(others=((np.nan, np.nan), (1.0, 1.0)))), policy=Eyes(0.0, 1.0))
+    absent = frames_of(record_of(walk(others=((np.nan, np.nan), (1.0, 1.0)))), policy=Eyes(0.0, 1.0))
     assert "■1" not in absent[3].plain
     assert " 2 █" in absent[3].plain
 
@@ -202,7 +209,7 @@ def test_many_few_and_absent_elements():
 def test_a_robot_that_goes_far_stays_in_the_picture():
     path = walk()
     path[:, 0] *= 7.0
-    for frame in make_frames(record_of(path, outcome=TIMEOUT)):
+    for frame in frames_of(record_of(path, outcome=TIMEOUT)):
         assert find("@", frame).min() >= 0
         assert_fits(frame.plain, 80, 24)
 
@@ -210,7 +217,7 @@ def test_a_robot_that_goes_far_stays_in_the_picture():
 def test_attention_is_listed_from_most_to_least():
     others = ((2.0, 0.0), (-2.0, 1.0), (1.0, 3.0))
     square = np.array([False, False, False, True])
-    frame = make_frames(record_of(walk(others=others), square=square), policy=Eyes(0.2, 0.5, 0.3))[4]
+    frame = frames_of(record_of(walk(others=others), square=square), policy=Eyes(0.2, 0.5, 0.3))[4]
     lines = [line[47:] for line in frame.plain.split("\n")]
     rows = [line for line in lines if "%" in line]
     assert [row.split()[0] for row in rows] == ["2", "■3", "1"]
@@ -223,7 +230,7 @@ def test_attention_is_listed_from_most_to_least():
 
 
 def test_without_a_network_there_is_no_attention():
-    plain = make_frames(record_of(walk()), label="orca")[2].plain
+    plain = frames_of(record_of(walk()), label="orca")[2].plain
     assert "attention" not in plain
     assert "actions" not in plain
     assert "nearest" in plain
@@ -231,18 +238,18 @@ def test_without_a_network_there_is_no_attention():
 
 def test_narrow_or_low_frames_have_no_panel():
     for width, height in ((59, 24), (80, 15)):
-        assert "repulsion" not in make_frames(record_of(walk()), width=width, height=height)[2].plain
-    assert "repulsion" in make_frames(record_of(walk()), width=60, height=16)[2].plain
+        assert "repulsion" not in frames_of(record_of(walk()), width=width, height=height)[2].plain
+    assert "repulsion" in frames_of(record_of(walk()), width=60, height=16)[2].plain
 
 
 def test_repulsion_and_what_contributes_most():
-    plain = make_frames(record_of(walk(others=((1.0, 0.0), (-2.0, 0.0)))))[4].plain  # the robot is at (0, 0)
+    plain = frames_of(record_of(walk(others=((1.0, 0.0), (-2.0, 0.0)))))[4].plain  # the robot is at (0, 0)
     assert f"⇐ {np.exp(-1.0) - np.exp(-2.0):.2f} m/s², mostly 1" in plain
 
 
 def test_repulsion_is_an_arrow_on_the_robot():
     others = ((1.0, 0.0), (-3.0, 0.0))  # the robot is at (0, 0) and walks up
-    small, large = (make_frames(record_of(walk(others=others)), width=w, height=h)[4] for w, h in ((80, 24), (200, 50)))
+    small, large = (frames_of(record_of(walk(others=others)), width=w, height=h)[4] for w, h in ((80, 24), (200, 50)))
     np.testing.assert_array_equal(find("@", small) - find("⇐", small), [0, 1])
     np.testing.assert_array_equal(find("@", small) - find("↑", small), [1, 0])
     lines = large.plain.split("\n")
@@ -250,7 +257,7 @@ def test_repulsion_is_an_arrow_on_the_robot():
     metre = next(len(line.split("├")[1].split("┤")[0]) + 2 for line in lines if "1 m ├" in line)  # columns
     reach = (0.3 + 0.5 * (np.exp(-1.0) - np.exp(-3.0))) * metre
     assert row.index("@") - row.index("⇐") == pytest.approx(reach, abs=1.5)
-    same = make_frames(record_of(walk(others=((0.0, -1.0), (-9.0, 0.0)))))[4]  # pushed the way that it goes
+    same = frames_of(record_of(walk(others=((0.0, -1.0), (-9.0, 0.0)))))[4]  # pushed the way that it goes
     assert (find("@", same) - find("↑", same) == [1, 0]).all()
     assert (find("@", same) - find("⇑", same) == [2, 0]).all()
 
@@ -258,11 +265,11 @@ def test_repulsion_is_an_arrow_on_the_robot():
 def test_where_there_is_room_each_element_has_its_repulsion():
     others = ((1.0, 0.0), (-2.0, 0.0), (0.0, 3.0))
     record = record_of(walk(others=others))
-    wide = make_frames(record, policy=Eyes(0.2, 0.5, 0.3), width=140, height=30)[4].plain
+    wide = frames_of(record, policy=Eyes(0.2, 0.5, 0.3), width=140, height=30)[4].plain
     for name, glyph, distance in (("1", "⇐", 1.0), ("2", "⇒", 2.0), ("3", "⇓", 3.0)):
         row = next(line for line in wide.split("\n") if "%" in line and line.split("│")[2].split()[0] == name)
         assert f"{glyph} {np.exp(-distance):.2f}" in row
-    tall = make_frames(record, policy=Eyes(0.2, 0.5, 0.3), width=80, height=40)[4].plain
+    tall = frames_of(record, policy=Eyes(0.2, 0.5, 0.3), width=80, height=40)[4].plain
     for name, glyph, distance in (("1", "⇐", 1.0), ("2", "⇒", 2.0), ("3", "⇓", 3.0)):
         row = next(line for line in tall.split("\n") if f"of person {name}" in line)
         assert row.endswith(f"{glyph} {np.exp(-distance):.2f} m/s²")
@@ -270,7 +277,10 @@ def test_where_there_is_room_each_element_has_its_repulsion():
 
 def test_where_there_is_room_the_panel_tells_all_elements_and_terms(played):
     record, policy = played
-    small, large = (make_frames(record, policy=policy, width=w, height=h)[5].plain for w, h in ((80, 24), (120, 40)))
+    small, large = (
+        frames_of(record, policy, reward=policy.config.reward, width=w, height=h)[5].plain
+        for w, h in ((80, 24), (120, 40))
+    )
     assert large.count("%") == np.isfinite(record.position[0, 0, 1:, 0]).sum() == 10
     assert small.count("%") < 10
     for term in ("collision", "goal", "discomfort", "velocity", "distance"):
@@ -293,7 +303,7 @@ def test_actions_are_a_disc_dense_where_values_are_high():
 def test_values_of_the_actions_and_of_the_next_one():
     path = walk()
     path[4:, 0] = path[3, 0] + (0.25, 0.0)  # step 3 goes along x, the others do not; values are speeds along x
-    frames = make_frames(record_of(path), policy=Eyes(0.5, 0.5))
+    frames = frames_of(record_of(path), policy=Eyes(0.5, 0.5))
     assert "value of the 81 actions" in frames[3].plain
     assert "best   1.000" in frames[3].plain
     assert "stay   0.000" in frames[3].plain
@@ -304,7 +314,7 @@ def test_values_of_the_actions_and_of_the_next_one():
 
 def test_a_sarl_episode_is_told_with_its_reward(played):
     record, policy = played
-    frames = make_frames(record, policy=policy)
+    frames = frames_of(record, policy=policy, reward=policy.config.reward)
     assert {len(frame.plain.split("\n")) for frame in frames} == {24}
     assert f"{record.reward[0, 4]:+.4f}".replace("-0.0000", "+0.0000") in frames[5].plain
     for word in ("attention", "value of the 81 actions", "reward of the step", "velocity", "distance"):
@@ -314,24 +324,23 @@ def test_a_sarl_episode_is_told_with_its_reward(played):
 
 
 def test_what_is_faint_or_bold_stays_with_its_own_words():
-    story = tell(record_of(walk(), reward=0.25), 0)
-    console = screen()
+    story = make_story(record_of(walk()), 0, None, Reward(reward="sfm"), 0.9)
+    console = Console()
     for names, width in (("a",), 80), (("a", "b"), 80), (("a", "b"), 200):
         text = Replay((story,) * len(names), names).frame(5, width, 24).text
-        start = -1
-        for _ in names:
-            start = text.plain.index("return", start + 1)
-            number = text.plain.index("+1.", start)
-            assert text.get_style_at_offset(console, start).dim
-            assert text.get_style_at_offset(console, number).bold
-            assert not text.get_style_at_offset(console, number).dim
+        found = list(re.finditer(r"return .*?([-+]\d)", text.plain))
+        assert len(found) == len(names)
+        for match in found:
+            assert text.get_style_at_offset(console, match.start()).dim
+            assert text.get_style_at_offset(console, match.start(1)).bold
+            assert not text.get_style_at_offset(console, match.start(1)).dim
 
 
 def test_too_close_is_marked_and_told():
     separations = np.full((8, 2), np.inf)
     separations[2:5, 1] = 0.15, 0.12, 0.18
     record = record_of(walk(), separations=separations)
-    frames = make_frames(record)
+    frames = frames_of(record)
     assert "too close" not in frames[0].plain
     assert "too close to nobody" in frames[2].plain
     assert "too close 0.75 s (person 2, 0.15 m)" in frames[3].plain
@@ -342,12 +351,12 @@ def test_too_close_is_marked_and_told():
     assert len({len(line) for line in timelines}) == 1
     marks = [place for place, glyph in enumerate(timelines[0]) if glyph == "!"]  # 0.75 to 1.25 s, of 25
     assert marks == [7, 8]  # 5 columns of "0 s", then 2.7 columns a second
-    picky = make_frames(record, reward=Reward(discomfort_distance=0.13))
+    picky = frames_of(record, reward=Reward(discomfort_distance=0.13))
     assert "too close 1.00 s (person 2, 0.12 m)" in picky[7].plain
 
 
 def test_the_timeline_moves_on():
-    lines = [frame.plain.split("\n")[-2] for frame in make_frames(record_of(walk(steps=60)))]
+    lines = [frame.plain.split("\n")[-2] for frame in frames_of(record_of(walk(steps=60)))]
     now = [line.index("●") for line in lines[:-1]]
     assert now == sorted(now)
     assert now[0] < 6
@@ -370,7 +379,7 @@ def test_the_last_frame_says_how_it_ended(outcome, gaps, words):
     separations[-1] = gaps
     record = record_of(walk(), outcome=outcome, separations=separations, square=np.array([False, False, True]))
     for ascii_only in (False, True):
-        frames = make_frames(record, ascii_only=ascii_only)
+        frames = frames_of(record, ascii_only=ascii_only)
         for word in words:
             assert word in frames[-1].plain
             assert word not in frames[-2].plain
@@ -378,17 +387,16 @@ def test_the_last_frame_says_how_it_ended(outcome, gaps, words):
         assert mark in frames[-1].plain.split("\n")[-2]
 
 
-def test_strip_is_evenly_spaced_with_both_ends():
-    frames = make_frames(record_of(walk(steps=12)))
-    assert [frame.time for frame in strip(frames, 4)] == [0.0, 1.0, 2.0, 3.0]
-    assert [frame.time for frame in strip(frames, 1)] == [3.0]
-    assert strip(frames, 0) == []
-    assert strip(frames, 99) == frames
+def test_stills_are_evenly_spaced_with_both_ends():
+    assert evenly_spaced(12, 4) == [0, 4, 8, 12]
+    assert evenly_spaced(12, 1) == [12]
+    assert evenly_spaced(12, 0) == []
+    assert evenly_spaced(12, 99) == list(range(13))
     for count in range(2, 14):
-        times = [frame.time for frame in strip(frames, count)]
-        assert len(times) == count
-        assert times == sorted(set(times))
-        assert (times[0], times[-1]) == (0.0, 3.0)
+        moments = evenly_spaced(12, count)
+        assert len(moments) == count
+        assert moments == sorted(set(moments))
+        assert (moments[0], moments[-1]) == (0, 12)
 
 
 coordinates = st.one_of(st.floats(-6, 6), st.floats(-500, 500), st.just(np.nan))
@@ -406,7 +414,7 @@ def test_any_positions_fit_and_show_the_robot(data):
     squares = np.arange(others + 1) > data.draw(st.integers(0, others))
     outcome = data.draw(st.sampled_from([SUCCESS, COLLISION, TIMEOUT]))
     ascii_only, eyes = data.draw(st.booleans()), data.draw(st.booleans())
-    for frame in make_frames(
+    for frame in frames_of(
         record_of(path, outcome=outcome, square=squares),
         policy=Eyes(*np.full(others, 1 / max(others, 1))) if eyes else None,
         width=width,
@@ -435,140 +443,89 @@ def test_scene_pictures(environment):
     assert ("x" in drawn) == (environment != "5")
 
 
-def test_keys_pause_step_and_change_the_speed():
-    player = Player(last=10).step(3)
-    assert (player.moment, player.playing) == (3, True)
-    assert not player.press(" ").playing
-    assert player.press(" ").press(" ").playing
-    assert (player.press(",").moment, player.press(".").moment) == (2, 4)
-    assert (player.press("\x1b[D").moment, player.press("\x1b[C").moment) == (2, 4)
-    assert not player.press(".").playing
-    assert (player.press("+").speed, player.press("-").speed) == (2.0, 0.5)
-    assert player.press("?") == player
-    assert player.press("q") is None
-    assert Player(last=10).press(",").moment == 0
-    end = player.step(99)
-    assert (end.moment, end.playing) == (10, False)
-    assert (end.press(" ").moment, end.press(" ").playing) == (0, True)
-
-
-@pytest.fixture
-def keyboard(monkeypatch):
-    """Standard input as a terminal: a function that types, one that tells the terminal's settings."""
-    pty, termios = pytest.importorskip("pty"), pytest.importorskip("termios")
-    ours, theirs = pty.openpty()
-    with os.fdopen(theirs) as stdin:
-        monkeypatch.setattr(sys, "stdin", stdin)
-        yield lambda keys: os.write(ours, keys), lambda: termios.tcgetattr(theirs)
-    os.close(ours)
-
-
-def screen():
-    return Console(
-        file=io.StringIO(), force_terminal=True, width=80, height=25, color_system=None, legacy_windows=False
-    )
-
-
-def film(record, act=lambda t, width, height: None):
-    """What draws a record for `play_live`, once `act` has been told of the moment and the size, and the last moment."""
-    replay = Replay((tell(record, 0),), ("",))
-
-    def draw(t, width, height):
-        act(t, width, height)
-        return replay.frame(t, width, height).text
-
-    return draw, replay.last
-
-
-def test_live_shows_every_frame_and_leaves_the_last(monkeypatch):
-    monkeypatch.setattr(sys, "stdin", io.StringIO())
-    console = screen()
-    play_live(*film(record_of(walk())), console, speed=50.0)
-    playing, left = console.file.getvalue().split("\x1b[?1049l")  # back from the second screen
-    assert all(f"t {0.25 * k:5.2f} s" in playing for k in range(8))
-    assert "q quit" not in playing
-    assert "\x1b[?25h" in playing[-20:]  # the cursor is back
-    assert [line.rstrip() for line in left.rstrip().split("\n")] == make_frames(record_of(walk()))[-1].plain.split("\n")
-
-
-def test_live_obeys_keys_and_puts_the_terminal_back(keyboard):
-    type_keys, terminal = keyboard
-    before, console, seen = terminal(), screen(), []
-    keys = [b" ", b".", b"\x1b[C", b",", b"++", b"-", b"q"]  # pause, two on, one back, faster, slower, quit
-
-    def look(moment, width, height):
-        seen.append(moment)
-        if keys:
-            assert terminal() != before  # single keys, no echo
-            type_keys(keys.pop(0))
-
-    play_live(*film(record_of(walk()), look), console, speed=0.01)
-    assert seen == [0, 0, 1, 2, 1, 1, 1, 1]
-    playing, left = console.file.getvalue().split("\x1b[?1049l")
-    assert "q quit" in playing
-    assert "paused   x0.04" in playing
-    assert "paused   x0.02" in playing
-    assert "q quit" not in left
-    assert terminal() == before
-
-
-def test_live_puts_the_terminal_back_when_interrupted(keyboard):
-    _, terminal = keyboard
-    before, console = terminal(), screen()
-
-    def interrupt(moment, width, height):
-        if moment == 2 and terminal() != before:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        play_live(*film(record_of(walk()), interrupt), console, speed=100.0)
-    assert terminal() == before
-    playing, left = console.file.getvalue().split("\x1b[?1049l")
-    assert "\x1b[?25h" in playing[-20:]
-    assert "t  0.50 s" in left
-
-
-@pytest.mark.parametrize("paused", [False, True])
-def test_live_is_drawn_anew_when_the_terminal_changes_its_size(keyboard, paused):
-    type_keys, _ = keyboard
-    console, sizes = screen(), []
-    new = iter([(120, 40), (61, 20), (9, 3), (200, 50)])
-
-    def look(moment, width, height):
-        sizes.append((width, height))
-        if len(sizes) == 1 and paused:
-            type_keys(b" ")
-        elif (size := next(new, None)) is not None:
-            console.size = size
-        elif len(sizes) < 9:
-            type_keys(b"q")
-
-    play_live(*film(record_of(walk()), look), console, speed=0.01)
-    assert list(dict.fromkeys(sizes)) == [(80, 24), (120, 39), (61, 19), (9, 2), (200, 49)]
-    left = console.file.getvalue().split("\x1b[?1049l")[1].split("\n")
-    assert len([line for line in left if line.strip()]) == 49  # the last one, in the last size
-    assert max(map(len, left)) > 120
-
-
-def test_live_writes_the_last_frame_where_there_is_no_terminal():
-    console = Console(file=io.StringIO(), width=80, height=25)
-    play_live(*film(record_of(walk())), console)
-    frames = make_frames(record_of(walk()))
-    assert [line.rstrip() for line in console.file.getvalue().rstrip().split("\n")] == frames[-1].plain.split("\n")
-
-
 def test_a_stretch_that_recovery_led_is_marked_and_told():
     from sfmrl.config import Planner
-    from sfmrl.policies import orca_policy
     from sfmrl.recovery import RecoveringPolicy
 
     policy = RecoveringPolicy(orca_policy, Planner(recover=True))
     record = play(sample_scenes("map-u", [0]), policy)
-    frames = make_frames(record, policy=policy)
+    frames = frames_of(record, policy=policy)
     told = [frame for frame in frames if "stuck: led around the squares" in frame.plain]
     line = frames[-1].plain.split("\n")[-2]
     assert "~" in line
-    assert "~" not in make_frames(record)[-1].plain.split("\n")[-2]
+    assert "~" not in frames_of(record)[-1].plain.split("\n")[-2]
     assert f"stuck for {len(told) * 0.25:.2f} s" in frames[-1].plain
     for frame in frames:
         assert_fits(frame.plain, 80, 24)
+
+
+@pytest.fixture(scope="module")
+def stories():
+    """The same episode as ORCA and a robot that goes straight play it: one of them ends before the other."""
+    scenes, policies = sample_scenes("2", [0]), {"orca": orca_policy, "linear": linear_policy}
+    return {name: make_story(play(scenes, policy), 0, policy, Reward(), 0.9) for name, policy in policies.items()}
+
+
+def replay(stories, *names, ascii_only=False):
+    return Replay(tuple(stories[name] for name in names), names, ascii_only)
+
+
+@pytest.mark.parametrize("size", [(80, 24), (61, 8), (120, 40), (200, 50), (60, 17), (20, 16), (161, 30), (7, 3)])
+@pytest.mark.parametrize("ascii_only", [False, True])
+def test_two_policies_fit_whatever_the_size(stories, size, ascii_only):
+    width, height = size
+    both = replay(stories, "orca", "linear", ascii_only=ascii_only)
+    assert both.last == max(story.last for story in stories.values())
+    for frame in both.frames(*size, 5):
+        lines = frame.text.plain.split("\n")
+        assert len(lines) <= height
+        assert max(map(cell_len, lines)) <= width
+        assert frame.plain.count("@") == 2
+        assert frame.plain.isascii() == ascii_only or min(size) < 8
+        if width >= SIDE_BY_SIDE_COLUMNS or height >= STACKED_LINES:
+            assert "orca" in frame.plain
+            assert "linea" in frame.plain
+        if width >= SIDE_BY_SIDE_COLUMNS:
+            assert {cell_len(line) for line in lines} == {2 * ((width - 1) // 2) + 1}
+        if width >= TWO_PANELS_COLUMNS:
+            assert frame.plain.count("reward of the step") == 2
+
+
+def test_two_policies_are_in_step_and_who_has_ended_stays_as_it_ended(stories):
+    first, second = sorted(stories, key=lambda name: stories[name].last)
+    early, late = stories[first], stories[second]
+    assert early.last < late.last
+    both = replay(stories, first, second)
+    for t, frame in enumerate(both.frames()):
+        lines = frame.plain.split("\n")
+        facts = next(line for line in lines if line.startswith("t "))
+        assert re.findall(r"t +([\d.]+) s", facts) == [
+            f"{early.time[min(t, early.last)]:.2f}",
+            f"{late.time[t]:.2f}",
+        ]
+        assert frame.time == late.time[t]
+        left = [line[:39] for line in lines]
+        if t >= early.last:
+            assert left == [line[:39] for line in both.frame(early.last).plain.split("\n")]
+            assert {"success": "goal reached after", "collision": "collision at"}[early.outcome] in left[-1]
+    swapped = replay(stories, second, first).frame(early.last)  # each side looks the same on the other one
+    assert [line[40:].rstrip() for line in swapped.plain.split("\n")] == [line.rstrip() for line in left]
+
+
+def test_both_planes_have_one_scale(stories):
+    for width, height in ((80, 24), (120, 40), (200, 50)):
+        frame = replay(stories, "orca", "linear").frame(0, width, height)
+        lines = frame.text.plain.split("\n")
+        half = (width - 1) // 2
+        alike = [r for r, line in enumerate(lines) if line.startswith("│")][: height // 3]
+        inside = lines[0].index("╮")
+        assert [lines[r][: inside + 1] for r in alike] == [lines[r][half + 1 : half + inside + 2] for r in alike]
+        assert len({line.split("├")[1].count("─") for line in re.findall("1 m ├─+┤", frame.plain)}) == 1
+
+
+def test_a_still_is_the_one_at_its_time(stories):
+    shown = replay(stories, "orca", "linear")
+    for at, time in ((0.0, 0.0), (1.1, 1.0), (1.2, 1.25), (np.inf, stories["orca"].time[-1])):
+        (frame,) = shown.frames(at=at)
+        assert frame.time == time
+        assert frame.plain == shown.frame(round(time / 0.25)).plain

@@ -1,8 +1,8 @@
 """Play pictures in a terminal in real time, with keys to pause, step and change the speed.
 
-What a key does is a pure function of the player; the rest is Rich's live display on the terminal's second screen and,
-where standard input is a terminal on a system that has termios, one key at a time from it. A terminal that changes its
-size is drawn on anew. The terminal is restored however playback ends, by a key or by a signal.
+The effect of a key is a pure function of the player. The display is Rich's, on the terminal's alternate screen; keys
+are read one at a time if standard input is a terminal and the system has termios. A terminal that is resized is drawn
+anew. The terminal is restored however playback ends, by a key or by a signal.
 """
 
 import os
@@ -17,17 +17,17 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from sfmrl.canvas import FAINT, fitted, to_ascii
+from sfmrl.replay.canvas import DIM, fitted, to_ascii
 
 SPEEDS = (0.01, 64.0)  # times real time, the slowest and the fastest
-GLANCE = 0.2  # s, the longest time without a look at the terminal's size
-STEPS = {",": -1, "\x1b[D": -1, ".": 1, "\x1b[C": 1}  # comma and full stop, or the arrow keys
+LONGEST_WAIT = 0.2  # s between two checks whether the terminal was resized
+STEP_KEYS = {",": -1, "\x1b[D": -1, ".": 1, "\x1b[C": 1}  # comma and full stop, or the arrow keys
 LEGEND = " space pause   , . step   + - speed   q quit"
 
 
 @dataclass(frozen=True)
 class Player:
-    """Which of the moments 0 to `last` is shown, whether time goes on, and how fast, in times real time."""
+    """Which of the moments 0 to `last` is shown, whether it is playing, and how fast, in times real time."""
 
     last: int
     moment: int = 0
@@ -36,24 +36,24 @@ class Player:
 
     @property
     def status(self) -> str:
-        """What the player is doing, in words."""
-        doing = "" if self.playing else "the end   " if self.moment == self.last else "paused   "
-        return f"{doing}x{self.speed:g} "
+        """State and speed in words."""
+        state = "" if self.playing else "the end   " if self.moment == self.last else "paused   "
+        return f"{state}x{self.speed:g} "
 
     def step(self, by: int) -> "Player":
-        """The player `by` moments on, within the episode; it stops at the end."""
+        """The player `by` moments later, within the episode; it stops at the end."""
         moment = min(max(self.moment + by, 0), self.last)
         return replace(self, moment=moment, playing=self.playing and moment < self.last)
 
     def press(self, key: str) -> "Player | None":
-        """The player after a key; None where it is a key that ends the playing. Space at the end starts again."""
+        """The player after a key, None after a key that quits. Space at the end starts again."""
         if key in ("q", "Q", "\x1b", "\x04"):
             return None
         if key == " ":
             again = self.moment == self.last
             return replace(self, moment=0 if again else self.moment, playing=again or not self.playing)
-        if key in STEPS:
-            return replace(self, playing=False).step(STEPS[key])
+        if key in STEP_KEYS:
+            return replace(self, playing=False).step(STEP_KEYS[key])
         if key in ("+", "=", "-"):
             speed = self.speed / 2 if key == "-" else self.speed * 2
             return replace(self, speed=min(max(speed, SPEEDS[0]), SPEEDS[1]))
@@ -63,15 +63,11 @@ class Player:
 def play_live(
     draw: Callable[[int, int, int], Text], last: int, console: Console, speed: float = 1.0, time_step: float = 0.25
 ) -> None:
-    """Play the moments 0 to `last` at `speed` times real time, one for every `time_step` seconds.
+    """Play the moments 0 to `last`, `time_step` seconds apart, at `speed` times real time in a terminal.
 
-    `draw` makes a moment's picture of at most so many columns and lines. The keys are told in a line below. With keys,
-    the end waits for a last one; without, the playing ends there. Either way the moment shown last stays. A console
-    that is no terminal gets the last one alone.
+    `draw(moment, columns, lines)` returns a picture of at most that size. If there is a keyboard, a line below explains
+    the keys, and playback waits at the end for one that quits. The moment shown last stays on the normal screen.
     """
-    if not console.is_terminal:
-        console.print(draw(last, console.width, console.height - 1))
-        return
     player: Player | None = Player(last, playing=last > 0, speed=speed)
     shown = 0
 
@@ -85,7 +81,7 @@ def play_live(
                 shown, size = player.moment, console.size
                 live.update(_with_legend(picture(), player, console) if read else picture(), refresh=True)
                 now, step = time.monotonic(), time_step / player.speed
-                due = min(max(due + step, now), now + step)  # drawing takes time too: no wait longer than needed
+                due = min(max(due + step, now), now + step)  # drawing takes time, too: wait for the rest alone
                 player = _after_wait(player, due, read, lambda size=size: console.size == size)
             shown = shown if player is None else player.moment
     finally:
@@ -93,17 +89,17 @@ def play_live(
 
 
 def _after_wait(player: Player, due: float, read: Callable | None, unchanged: Callable[[], bool]) -> Player | None:
-    """The player one moment on at the time `due`, or after the keys that were pressed before.
+    """The player one moment later at the time `due`, or before that, after the keys that were pressed.
 
-    As it is as soon as the terminal is not `unchanged`: then the same moment is due to be drawn again.
+    It is returned as it is as soon as the terminal is not `unchanged`, so that the same moment is drawn again.
     """
     while unchanged():
-        left = due - time.monotonic() if player.playing else GLANCE
+        left = due - time.monotonic() if player.playing else LONGEST_WAIT
         if left <= 0:
             return player.step(1)
         if read is None:
-            time.sleep(min(left, GLANCE))
-        elif keys := read(min(left, GLANCE)):
+            time.sleep(min(left, LONGEST_WAIT))
+        elif keys := read(min(left, LONGEST_WAIT)):
             for key in keys:
                 player = None if player is None else player.press(key)
             return player
@@ -111,14 +107,14 @@ def _after_wait(player: Player, due: float, read: Callable | None, unchanged: Ca
 
 
 def _with_legend(picture: Text, player: Player, console: Console) -> Group:
-    """The picture, and what the keys do."""
-    legend = fitted(Text(LEGEND, FAINT), console.width, Text(player.status, FAINT))
+    """The picture and a line that explains the keys."""
+    legend = fitted(Text(LEGEND, DIM), console.width, Text(player.status, DIM))
     return Group(picture, to_ascii(legend) if picture.plain.isascii() else legend)
 
 
 @contextmanager
-def _keyboard() -> Iterator[Callable[[float | None], list[str]] | None]:
-    """A function that waits for keys at most so many seconds (None: as long as it takes); None without a keyboard."""
+def _keyboard() -> Iterator[Callable[[float], list[str]] | None]:
+    """A function that waits at most some seconds for keys and returns them; None without a keyboard."""
     try:
         import select
         import termios
@@ -131,11 +127,11 @@ def _keyboard() -> Iterator[Callable[[float | None], list[str]] | None]:
         return
     terminal = sys.stdin.fileno()
 
-    def read(seconds: float | None) -> list[str]:
+    def read(seconds: float) -> list[str]:
         if not select.select([terminal], [], [], seconds)[0]:
             return []
         pressed = os.read(terminal, 64).decode(errors="ignore")
-        return re.findall(r"\x1b\[.|.", pressed, re.DOTALL) or ["q"]  # nothing to read: the terminal has gone
+        return re.findall(r"\x1b\[.|.", pressed, re.DOTALL) or ["q"]  # nothing to read: the terminal is gone
 
     before = termios.tcgetattr(terminal)
     try:

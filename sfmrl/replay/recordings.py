@@ -1,6 +1,6 @@
-"""A replay as a file: SVG, or an asciinema recording (asciicast v2). Pure: frames in, a file's text out.
+"""Write frames as SVG or as an asciinema recording (asciicast v2). Pure: frames in, the text of a file out.
 
-The same frames make the same file: no date, no terminal and no environment enters it.
+The same frames give the same file: it holds no date and nothing of the terminal or the environment.
 """
 
 import io
@@ -10,16 +10,16 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.text import Text
 
-from sfmrl.replay import Frame
+from sfmrl.replay.frames import Frame
 
-HOLD = 2.0  # s that a recording shows its last frame
-# Rich's own, without the typeface that it would fetch: fonts that a reader has, in the size at which the first one's
-# blocks fill Rich's lines of 24.4 px, and its columns by that font's aspect.
-FONT, ASPECT = 20.95, 0.6305
+LAST_FRAME_SECONDS = 2.0  # s that a recording goes on after its last frame
+# Rich's template without the typeface that it would fetch: fonts that readers have, in the size at which the first
+# one's block characters fill Rich's lines of 24.4 px; the columns' width follows from that font's aspect ratio.
+FONT_SIZE, FONT_ASPECT = 20.95, 0.6305
 SVG = """\
 <svg viewBox="0 0 {width} {height}" xmlns="http://www.w3.org/2000/svg">
 <style>
-.{unique_id}-matrix {{ font: FONTpx "DejaVu Sans Mono", Menlo, Consolas, monospace }}
+.{unique_id}-matrix {{ font: FONT_SIZEpx "DejaVu Sans Mono", Menlo, Consolas, monospace }}
 .{unique_id}-title {{ font: bold 18px sans-serif }}
 {styles}
 </style>
@@ -33,36 +33,36 @@ SVG = """\
 <g class="{unique_id}-matrix">{matrix}</g>
 </g>
 </svg>
-""".replace("FONT", f"{FONT}")
+""".replace("FONT_SIZE", f"{FONT_SIZE}")
 
 
 def to_svg(frames: Sequence[Frame], title: str, colour: bool = True) -> str:
-    """The frames one below the other as one picture."""
+    """The frames as one picture, one below the other."""
     console = _console(_columns(frames), record=True)
     for k, frame in enumerate(frames):
         if k:
             console.line()
         console.print(frame.text if colour else Text(frame.plain), crop=False)
-    return console.export_svg(title=title, code_format=SVG, font_aspect_ratio=ASPECT)
+    return console.export_svg(title=title, code_format=SVG, font_aspect_ratio=FONT_ASPECT)
 
 
 def to_cast(frames: Sequence[Frame], title: str, speed: float = 1.0, colour: bool = True) -> str:
-    """The frames in time, `speed` times as fast as it was, each drawn whole."""
+    """The frames as a recording that plays them at `speed` times real time; each is drawn whole on an empty screen."""
     columns, rows = _columns(frames), max(frame.text.plain.count("\n") + 1 for frame in frames)
     console = _console(columns)
     lines: list[dict | list] = [{"version": 2, "width": columns, "height": rows, "title": title}]
     for frame in frames:
         with console.capture() as drawn:
             console.print(frame.text if colour else Text(frame.plain), end="")
-        cleared = "\x1b[?25l\x1b[2J\x1b[1;1H"  # no cursor, an empty screen
-        lines.append([frame.time / speed, "o", cleared + drawn.get().replace("\n", "\r\n")])
-    lines.append([frames[-1].time / speed + HOLD, "o", f"\x1b[{rows};1H\x1b[?25h"])
+        clear = "\x1b[?25l\x1b[2J\x1b[1;1H"  # hides the cursor, too
+        lines.append([frame.time / speed, "o", clear + drawn.get().replace("\n", "\r\n")])
+    lines.append([frames[-1].time / speed + LAST_FRAME_SECONDS, "o", f"\x1b[{rows};1H\x1b[?25h"])
     ascii_only = all(frame.plain.isascii() for frame in frames)
     return "".join(json.dumps(line, ensure_ascii=ascii_only) + "\n" for line in lines)
 
 
-def _console(columns: int, **extra) -> Console:
-    """A console that writes nowhere, and that no environment changes."""
+def _console(columns: int, **options) -> Console:
+    """A console that writes to nowhere and reads no environment variables."""
     return Console(
         file=io.StringIO(),
         width=columns,
@@ -71,7 +71,7 @@ def _console(columns: int, **extra) -> Console:
         legacy_windows=False,
         highlight=False,
         _environ={},
-        **extra,
+        **options,
     )
 
 

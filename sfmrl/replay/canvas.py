@@ -1,29 +1,32 @@
-"""Characters on a grid: from metres to cells, and to a cell's finer dots and quarters.
+"""Draw on a grid of characters in metres, with braille dots and quarter blocks for what is finer than a cell.
 
-A cell is twice as high as it is wide, as in most terminals, so circles look round. What is finer than a cell is shown
-by braille dots (2 x 4 a cell) and quarter blocks (2 x 2 a cell). Everything is drawn in Unicode, one column a glyph;
-`to_ascii` then exchanges glyph for glyph where only seven bits are wanted.
+A cell is twice as high as it is wide, as in most terminals, so circles look round. A cell holds 2 x 4 braille dots or
+2 x 2 quarter blocks. All glyphs are Unicode, one column wide; `to_ascii` replaces each by one of seven bits.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from rich.cells import cell_len
 from rich.text import Text
 
-ROBOT, PERSON, SQUARE, GOAL = "bold cyan", "bold", "grey50", "bold green"
-WATCHED, BAD, LATE, FAINT = "bold magenta", "bold red", "bold yellow", "dim"
-PUSH = "bold color(208)"
+# Styles, by what they show.
+ROBOT, PERSON, SQUARE, GOAL, FORCE = "bold cyan", "bold", "grey50", "bold green", "bold color(208)"
+MOST_ATTENTION = "bold magenta"
+DANGER = "bold red"  # a collision, or too close
+DELAY = "bold yellow"  # a time-out, or a stuck robot
+DIM = "dim"  # labels, and what is only background
 
-ARROWS = "→↗↑↖←↙↓↘"  # of velocities: counter-clockwise from the x axis, 45 degrees apart
-PUSHES = "⇒⇗⇑⇖⇐⇙⇓⇘"  # of forces, likewise
-NEXT_CELL = np.array([(0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0), (1, 1)])  # (row, column), likewise
+VELOCITY_ARROWS = "→↗↑↖←↙↓↘"  # counter-clockwise from the x axis, 45 degrees apart
+FORCE_ARROWS = "⇒⇗⇑⇖⇐⇙⇓⇘"
+NEIGHBOURS = np.array([(0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0), (1, 1)])  # (row, column), likewise
 QUARTERS = " ▘▝▀▖▌▞▛▗▚▐▜▄▙▟█"  # by the sum of 1 (upper left), 2 (upper right), 4 (lower left), 8 (lower right)
 BRAILLE = 0x2800  # the empty braille cell; a dot's bit by its row and column:
 DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 
 _ASCII = str.maketrans(
-    dict(zip(ARROWS + PUSHES, ">/^\\</v\\" * 2, strict=True))
+    dict(zip(VELOCITY_ARROWS + FORCE_ARROWS, ">/^\\</v\\" * 2, strict=True))
     | {glyph: "#" if bin(k).count("1") > 1 else " " for k, glyph in enumerate(QUARTERS)}
     | {chr(BRAILLE + k): "." for k in range(1, 256)}
     | dict(zip("▉▊▋▍▎▏░▒▓", "###   .:+", strict=True))
@@ -34,7 +37,7 @@ _ASCII = str.maketrans(
 
 @dataclass(frozen=True)
 class View:
-    """The part of the plane that `rows` x `columns` cells show: its upper left corner and a row's height, in m."""
+    """The part of the plane that `rows` x `columns` cells show: its upper left corner and the height of a row, in m."""
 
     left: float
     top: float
@@ -43,16 +46,16 @@ class View:
     columns: int
 
     def cells(self, points: np.ndarray, down: int = 1, across: int = 1) -> np.ndarray:
-        """Row and column of points (..., 2) in m, where a cell is cut into `down` x `across`: (..., 2) integers."""
+        """Row and column of points (..., 2) in m when each cell is cut into `down` x `across`: (..., 2) integers."""
         row = (self.top - points[..., 1]) * (down / self.row)
         column = (points[..., 0] - self.left) * (2 * across / self.row)
         return np.floor(np.stack((row, column), -1)).astype(int)
 
 
 def fit_view(points: np.ndarray, rows: int, columns: int, margin: float = 0.15) -> View:
-    """The view that shows all `points` (n, 2) and `margin` m around them as large as it can, in the middle.
+    """The centred view that shows `points` (n, 2) and a `margin` around them, in m, at the largest possible scale.
 
-    Points that are NaN or infinite are left out; a row is never less than 0.1 m.
+    Points that are NaN or infinite are ignored; a row is at least 0.1 m high.
     """
     points = points[np.isfinite(points).all(-1)]
     low, high = (points.min(0) - margin, points.max(0) + margin) if len(points) else (np.zeros(2), np.zeros(2))
@@ -63,7 +66,7 @@ def fit_view(points: np.ndarray, rows: int, columns: int, margin: float = 0.15) 
 
 
 class Canvas:
-    """A grid of glyphs and their styles, drawn on in metres; what falls outside the view is not drawn."""
+    """A grid of glyphs and their styles; coordinates are in metres, and what lies outside the view is not drawn."""
 
     def __init__(self, view: View) -> None:
         self.view = view
@@ -71,12 +74,12 @@ class Canvas:
         self.styles = np.full((view.rows, view.columns), "", dtype=object)
 
     def put(self, point: np.ndarray, glyph: str, style: str = "", step: np.ndarray | tuple = (0, 0)) -> None:
-        """One glyph at a point (2,) in m, or `step` = (rows, columns) away from its cell."""
+        """Draw one glyph at a point (2,), or `step` = (rows, columns) away from its cell."""
         if np.isfinite(point).all():
             self._set(*(self.view.cells(point) + step), glyph, style)
 
     def dots(self, points: np.ndarray, style: str = "") -> None:
-        """A braille dot for each point (n, 2) in m, on cells that hold nothing but dots."""
+        """Draw a braille dot at each point (n, 2), except in cells that hold a glyph of another kind."""
         for row, column in self.view.cells(points[np.isfinite(points).all(-1)], 4, 2):
             r, c = row // 4, column // 2
             if self._inside(r, c) and (self.glyphs[r, c] == " " or ord(self.glyphs[r, c]) & ~0xFF == BRAILLE):
@@ -84,13 +87,13 @@ class Canvas:
                 self._set(r, c, chr(BRAILLE | bits | DOTS[row % 4, column % 2]), style)
 
     def squares(self, centres: np.ndarray, halves: np.ndarray, style: str = "") -> None:
-        """Solid squares about `centres` (n, 2) with half sides `halves` (n,) in m; those that touch join."""
+        """Draw solid squares about `centres` (n, 2) with half sides `halves` (n,); squares that touch join."""
         view = self.view
         x = view.left + (np.arange(2 * view.columns) + 0.5) * view.row / 4
         y = view.top - (np.arange(2 * view.rows) + 0.5) * view.row / 2
         within_x = np.abs(x - centres[:, :1]) <= halves[:, None] + 1e-9  # (n, 2 columns)
         within_y = np.abs(y - centres[:, 1:]) <= halves[:, None] + 1e-9  # (n, 2 rows)
-        solid = (within_y[:, :, None] & within_x[:, None, :]).any(0)
+        solid = (within_y[:, :, None] & within_x[:, None, :]).any(0)  # (2 rows, 2 columns)
         code = solid[::2, ::2] + 2 * solid[::2, 1::2] + 4 * solid[1::2, ::2] + 8 * solid[1::2, 1::2]
         for row, column in zip(*np.nonzero(code), strict=True):
             self._set(row, column, QUARTERS[code[row, column]], style)
@@ -108,17 +111,12 @@ class Canvas:
 
 
 def octant(vector: np.ndarray) -> int:
-    """Which of the eight arrows is nearest to a vector (2,)."""
+    """Index of the one of eight arrows that is nearest to a vector (2,)."""
     return int(np.round(np.arctan2(vector[1], vector[0]) / (np.pi / 4))) % 8
 
 
-def arrow(vector: np.ndarray, glyphs: str = ARROWS) -> str:
-    """The arrow along a vector (2,), a dot where it is nearly zero or NaN."""
-    return glyphs[octant(vector)] if np.hypot(*vector) > 1e-3 else "·"
-
-
-def styled(pieces) -> Text:
-    """One text of (glyphs, style) pairs, neighbours of one style joined."""
+def styled(pieces: Iterable[tuple[str, str]]) -> Text:
+    """One text from (glyphs, style) pairs; neighbours of the same style are joined."""
     text, run, last = Text(no_wrap=True), "", ""
     for glyphs, style in pieces:
         if style != last:
@@ -129,7 +127,7 @@ def styled(pieces) -> Text:
 
 
 def fitted(text: Text, width: int, right: Text | None = None) -> Text:
-    """`text` cut or filled up to `width` columns, with `right` at its right edge where there is room."""
+    """`text` cut or padded to `width` columns, with `right` at its right edge if there is room."""
     if right is not None and text.cell_len + right.cell_len < width:
         text = Text.assemble(text, " " * (width - text.cell_len - right.cell_len), right)
     text = text.copy()
@@ -138,11 +136,11 @@ def fitted(text: Text, width: int, right: Text | None = None) -> Text:
 
 
 def tidy(words: str) -> str:
-    """`words` without what a terminal would not show in one column a character."""
+    """`words` with "?" for each character that a terminal does not show in one column."""
     return "".join(c if c.isprintable() and cell_len(c) == 1 else "?" for c in words)
 
 
 def to_ascii(text: Text) -> Text:
-    """`text` glyph by glyph in seven bits, its styles kept."""
+    """`text` in seven bits, glyph by glyph, with its styles."""
     plain = text.plain.translate(_ASCII).encode("ascii", "replace").decode("ascii")
     return Text(plain, spans=list(text.spans), no_wrap=True)

@@ -1,0 +1,196 @@
+"""Put frames together: the plane, its panel or a few facts, and the timeline, in any size, for one policy or two.
+
+All frames of an episode share one view, which shows every position, start and goal. A frame below 60 x 16 has no panel,
+below 20 x 8 it is the plane alone. Two policies in the same episode stand side by side, at the same time and scale:
+with both panels from 161 columns on, with facts below the planes from 61 on, else one above the other.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from rich.text import Text
+
+from sfmrl.geometry import direction
+from sfmrl.replay.canvas import DIM, GOAL, PERSON, ROBOT, SQUARE, Canvas, View, fit_view, fitted, styled, tidy, to_ascii
+from sfmrl.replay.panel import facts_lines, panel_lines
+from sfmrl.replay.plane import bordered, draw_moment, draw_scene
+from sfmrl.replay.story import Story, scene_name
+from sfmrl.replay.timeline import sentence, timeline
+from sfmrl.scenes import Scenes
+
+SIDE_BY_SIDE_COLUMNS = 61  # from which two policies stand side by side, else one above the other
+TWO_PANELS_COLUMNS = 161  # ... and from which each has a panel
+STACKED_LINES = 16  # at least, for two policies one above the other
+PANEL_COLUMNS = (32, 44)  # of a panel beside the plane, at least and at most
+PANEL_LINES = 9  # lines below a plane from which they hold a panel instead of facts
+UNBOUNDED = 1_000_000  # rows or columns: the other dimension alone decides the scale
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One moment's picture, `time` s after the start."""
+
+    text: Text
+    time: float
+
+    @property
+    def plain(self) -> str:
+        """The frame without colour; lines have no trailing spaces."""
+        return "\n".join(line.rstrip() for line in self.text.plain.split("\n"))
+
+
+@dataclass(frozen=True)
+class Replay:
+    """One episode as played by one policy or by two, to be drawn at any moment and in any size.
+
+    `labels` are the policies' names. If one of two ends before the other, it stays as it ended.
+    """
+
+    stories: tuple[Story, ...]
+    labels: tuple[str, ...]
+    ascii_only: bool = False
+
+    @property
+    def last(self) -> int:
+        """The last moment; the first is 0."""
+        return max(story.last for story in self.stories)
+
+    @property
+    def time_step(self) -> float:
+        """Seconds from one moment to the next."""
+        return float(self.stories[0].time[1])
+
+    @property
+    def title(self) -> str:
+        """Policies, environment and episode in a line."""
+        words = _title(" and ".join(filter(None, self.labels)), self.stories[0])
+        return to_ascii(Text(words)).plain if self.ascii_only else words
+
+    def frame(self, t: int, width: int = 80, height: int = 24) -> Frame:
+        """The picture at moment `t`, of at most `width` columns and `height` lines."""
+        points = np.concatenate([part for s in self.stories for part in (s.position.reshape(-1, 2), s.start, s.goal)])
+        facts = 2 if all(story.attention is None for story in self.stories) else 3  # lines, at least
+        if len(self.stories) == 1:
+            lines = self._draw(0, t, _lay_out(width, height, points), width)
+        elif width < SIDE_BY_SIDE_COLUMNS:
+            lines = self._draw(0, t, _lay_out_wide(width, -(-height // 2), points, facts), width)
+            lines += self._draw(1, t, _lay_out_wide(width, height - len(lines), points, facts), width)
+        else:
+            half = (width - 1) // 2
+            layout = _lay_out_wide(half, height, points, facts)
+            if width >= TWO_PANELS_COLUMNS:
+                layout = _lay_out(half, height, points)
+            both = (self._draw(k, t, layout, half) for k in (0, 1))
+            lines = [Text.assemble(fitted(a, half), " ", fitted(b, half)) for a, b in zip(*both, strict=True)]
+        return Frame(_joined(lines, width, height, self.ascii_only), min(t, self.last) * self.time_step)
+
+    def frames(
+        self, width: int = 80, height: int = 24, count: int | None = None, at: float | None = None
+    ) -> list[Frame]:
+        """All frames, or `count` evenly spaced ones, or the one nearest to the time `at` in s."""
+        moments = range(self.last + 1) if count is None else evenly_spaced(self.last, count)
+        if at is not None:
+            moments = [round(min(at / self.time_step, self.last))]
+        return [self.frame(t, width, height) for t in moments]
+
+    def _draw(self, k: int, t: int, layout: "_Layout", width: int) -> list[Text]:
+        """Story `k` at moment `t`, or at its end: the plane, the numbers, and the timeline in at most `width`."""
+        story = self.stories[k]
+        t = min(t, story.last)
+        lines = draw_moment(story, t, layout.view, people_trails=not self.ascii_only).lines()
+        if not layout.bordered:
+            return lines
+        title = _title(self.labels[k], story)
+        if not (layout.beside or layout.below):  # neither a panel nor facts tell the time
+            title = f"{story.time[t]:.2f} s · {title}"
+        lines = bordered(lines, title, layout.view)
+        if layout.beside:
+            panel = panel_lines(story, t, len(lines), layout.beside)
+            lines = [Text.assemble(line, " ", beside) for line, beside in zip(lines, panel, strict=True)]
+        columns, words = lines[0].cell_len, sentence(story, t, width)
+        numbers = panel_lines if layout.below >= PANEL_LINES else facts_lines
+        lines += numbers(story, t, layout.below, columns)
+        return [*lines, timeline(story, t, columns), fitted(words, max(columns, min(words.cell_len, width)))]
+
+
+def evenly_spaced(last: int, count: int) -> list[int]:
+    """`count` of the moments 0 to `last`, evenly spaced, with `last` and (if `count` > 1) 0; all if there are fewer."""
+    return [round(t) for t in np.linspace(last, 0, min(count, last + 1))[::-1]]
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """The view of the plane, whether it has a border, columns of a panel beside it, lines of numbers below it."""
+
+    view: View
+    bordered: bool
+    beside: int = 0
+    below: int = 0
+
+
+def _lay_out(width: int, height: int, points: np.ndarray, panel: bool = True) -> _Layout:
+    """The layout of `width` x `height` characters whose plane shows all `points` (n, 2) m.
+
+    In an environment's usual scene at 80 x 24, a column is about 0.2 m wide and a row 0.4 m high.
+    """
+    if width < 20 or height < 8:
+        return _Layout(fit_view(points, max(height, 1), max(width, 1)), bordered=False)
+    rows = height - 4  # border, timeline and sentence
+    row = fit_view(points, rows, UNBOUNDED).row  # m
+    wanted = max(int(np.ceil(2 * (_span(points)[0] + 0.3) / row)), 2 * rows)  # columns
+    columns, beside = width - 2, 0
+    if panel and width >= 60 and height >= 16:
+        beside = int(np.clip(width - 3 - 1.1 * wanted, *PANEL_COLUMNS))
+        columns = width - 3 - beside
+    return _Layout(fit_view(points, rows, min(columns, int(1.3 * wanted))), bordered=True, beside=beside)
+
+
+def _lay_out_wide(width: int, height: int, points: np.ndarray, facts: int) -> _Layout:
+    """The layout with the plane in full width, and numbers in the lines that it leaves.
+
+    These are at least `facts` if there are enough for the plane.
+    """
+    needed = _span(points)[1] / fit_view(points, UNBOUNDED, max(width - 2, 1)).row  # rows of the plane
+    most = max(height - 12, 0)
+    below = int(np.clip(height - 5 - needed, min(facts, most), most))
+    layout = _lay_out(width, height - below, points, panel=False)
+    if not layout.bordered:
+        return layout
+    return _Layout(fit_view(points, layout.view.rows, width - 2), bordered=True, below=below)
+
+
+def _span(points: np.ndarray) -> np.ndarray:
+    """Width and height (2,) of what the finite ones of points (n, 2) cover."""
+    return np.ptp(points[np.isfinite(points).all(-1)], axis=0)
+
+
+def _title(label: str, story: Story) -> str:
+    return f"{tidy(label)} · {story.name}" if label else story.name
+
+
+def _joined(lines: list[Text], width: int, height: int, ascii_only: bool) -> Text:
+    """Lines as one text, cut to the size."""
+    cut = [fitted(line, min(width, line.cell_len)) for line in lines[:height]]
+    text = Text("\n", no_wrap=True, overflow="crop").join(cut)
+    return to_ascii(text) if ascii_only else text
+
+
+def scene_picture(
+    scenes: Scenes, episode: int = 0, *, width: int = 80, height: int = 24, ascii_only: bool = False
+) -> Text:
+    """The scene in row `episode` before the first step: starts, goals, and the way from the ones to the others."""
+    start, goal, square = scenes.start[episode], scenes.goal[episode], scenes.square[episode]
+    # A line of legend takes the place of the two below a replay's plane.
+    layout = _lay_out(width, max(height - 3, 1) + 4, np.concatenate((start, goal)), panel=False)
+    heading = np.where(square[:, None], 0.0, direction(goal - start))
+    canvas = Canvas(layout.view)
+    for person in np.flatnonzero(~square)[1:]:
+        canvas.put(goal[person], "x", DIM)
+    draw_scene(canvas, start, heading, goal[0], scenes.radius[episode], square, marked={}, push=np.zeros(2))
+    lines = canvas.lines()
+    if layout.bordered:
+        lines = bordered(lines, scene_name(scenes.environment[episode], scenes.episode[episode]), layout.view)
+        legend = (("@", ROBOT), (" robot  ", ""), ("★", GOAL), (" its goal  ", ""))
+        legend += ((" 1→", PERSON), (" person and heading  ", ""), ("x", DIM), (" a person's goal  ", ""))
+        lines.append(styled((*legend, ("█", SQUARE), (" square", ""))))
+    return _joined(lines, width, height, ascii_only)

@@ -1,0 +1,134 @@
+"""One episode as arrays over its moments: all that the replay draws and `sfmrl explain` lists.
+
+An episode of T steps has T + 1 moments; step t leads from moment t to moment t + 1. The reward, separations and events
+of a moment are those of the step that led to it; its action values are those of the step that starts there.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sfmrl.config import Planner, Reward
+from sfmrl.crowd import World, reset
+from sfmrl.episodes import Record
+from sfmrl.lookahead import Lookahead, Policy, step_discount
+from sfmrl.recovery import RecoveringPolicy
+from sfmrl.rewards import RUNNING, reward_terms, total
+from sfmrl.sfm import repulsive_forces
+
+ELEMENT_GLYPHS = "123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
+
+
+@dataclass(frozen=True)
+class Story:
+    """The T + 1 moments of one episode of N agents and K = N - 1 elements; absent elements are NaN."""
+
+    name: str  # environment and episode
+    time: np.ndarray  # (T + 1,) s
+    time_limit: float  # s
+    position: np.ndarray  # (T + 1, N, 2) m
+    velocity: np.ndarray  # (T + 1, N, 2) m/s
+    start: np.ndarray  # (N, 2) m
+    goal: np.ndarray  # (N, 2) m
+    radius: np.ndarray  # (N,) m; half a square's side
+    square: np.ndarray  # (N,) bool
+    gap: np.ndarray  # (T + 1, K) m, between the robot's edge and the element's
+    force: np.ndarray  # (T + 1, K, 2) m/s^2, repulsion of each element on the robot
+    separations: np.ndarray  # (T, K) m, smallest gap during each step; +inf where absent
+    terms: dict[str, np.ndarray]  # terms of the reward by name, (T,) each
+    returns: np.ndarray  # (T + 1,) discounted sum of the rewards up to the moment
+    outcome: str  # "success", "collision" or "timeout"
+    goal_distance: float  # m, at the end
+    close: tuple[tuple[int, int], ...]  # first and last moment of each stretch in which the robot is too close
+    attention: np.ndarray | None  # (T + 1, K); None for a policy without attention
+    look: Lookahead | None  # of the T steps; None for a policy that does not look ahead
+    stuck: np.ndarray  # (T,) bool, the steps in which recovery chose the action
+
+    @property
+    def last(self) -> int:
+        """The last moment, T."""
+        return len(self.time) - 1
+
+    @property
+    def hit(self) -> np.ndarray:
+        """Rows of the elements that the robot collided with; empty without a collision."""
+        return 1 + np.flatnonzero(self.separations[-1] < 0) if self.outcome == "collision" else np.zeros(0, dtype=int)
+
+    def called(self, row: int) -> str:
+        """An element's name: "person 3", "square 8"."""
+        return f"{'square' if self.square[row] else 'person'} {glyph_of(row)}"
+
+
+def glyph_of(row: int) -> str:
+    """The one character that stands for the element in a row: 1 to 9, then letters, then "+"."""
+    return ELEMENT_GLYPHS[row - 1] if row <= len(ELEMENT_GLYPHS) else "+"
+
+
+def scene_name(environment: str, episode: int) -> str:
+    """Environment and episode in words."""
+    named = {"own": "own scene", "map": "map"}.get(environment, f"environment {environment}")
+    return f"{named} · episode {episode}"
+
+
+def make_story(record: Record, row: int, policy: Policy, reward: Reward, discount: float) -> Story:
+    """The story of the episode in one row of a record that `policy` played, judged by `reward`.
+
+    `discount` is per second at 1 m/s; the returns are discounted with it.
+    """
+    record = record.take(np.array([row]))
+    scenes, steps = record.scenes, int(record.steps[0])
+    moments = _moments(record, getattr(policy, "planner", None))
+    step = record.transition[0, :steps]
+    terms = reward_terms(reward)(step)
+    factors = step_discount(discount, scenes.v_pref[0, 0], record.simulation) ** np.arange(steps)
+    close = (step.outcome == RUNNING) & (step.separation < reward.discomfort_distance)
+    attention, look, stuck = _choices(policy, moments)
+    return Story(
+        name=scene_name(scenes.environment[0], scenes.episode[0]),
+        time=moments.time,
+        time_limit=max(record.simulation.time_limit, moments.time[-1]),
+        position=moments.position,
+        velocity=moments.velocity,
+        start=scenes.start[0],
+        goal=scenes.goal[0],
+        radius=scenes.radius[0],
+        square=scenes.square[0],
+        gap=moments.gap,
+        force=repulsive_forces(moments.position[:, :1] - moments.position[:, 1:]),
+        separations=step.separations,
+        terms=terms,
+        returns=np.concatenate(([0.0], np.cumsum(total(terms) * factors))),
+        outcome=str(record.outcome[0]),
+        goal_distance=float(step.goal_distance[-1]),
+        close=_stretches(np.concatenate(([False], close))),
+        attention=attention,
+        look=look,
+        stuck=stuck,
+    )
+
+
+def _moments(record: Record, planner: Planner | None) -> World:
+    """The world at each of the T + 1 moments of a record of one episode; with geodesics if there is a planner."""
+    steps = np.arange(record.steps[0] + 1)
+    start = reset(record.scenes, record.simulation, planner).take(np.zeros_like(steps))
+    return replace(start, position=record.position[0, steps], velocity=record.velocity[0, steps], steps=steps)
+
+
+def _choices(policy: Policy, moments: World) -> tuple[np.ndarray | None, Lookahead | None, np.ndarray]:
+    """Compute anew what `policy` weighed up as it played: attention (T + 1, K), look, stuck (T,), as in Story."""
+    before = moments.take(np.arange(len(moments) - 1))  # the worlds in which it chose
+    attention = look = None
+    if hasattr(policy, "lookahead") and moments.position.shape[1] > 1:
+        look = policy.lookahead(before, moments.velocity[1:])
+        attention = policy.attention(moments)
+    stuck = np.zeros(len(before), dtype=bool)
+    if isinstance(policy, RecoveringPolicy):
+        stuck = policy.watch_all(before)
+    return attention, look, stuck
+
+
+def _stretches(near: np.ndarray) -> tuple[tuple[int, int], ...]:
+    """First and last index of each run of True in (T + 1,) booleans."""
+    edges = np.diff(np.concatenate(([0], near.astype(int), [0])))
+    first, beyond = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
+    return tuple((int(a), int(b) - 1) for a, b in zip(first, beyond, strict=True))
