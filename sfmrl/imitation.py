@@ -9,9 +9,8 @@ from collections.abc import Callable
 from sfmrl.config import Config, ConfigError
 from sfmrl.episodes import Record, play_episodes, returns_of, rewards_of
 from sfmrl.fast import new_network
-from sfmrl.learning import Fit
+from sfmrl.learning import Fit, Memory
 from sfmrl.lookahead import step_discount
-from sfmrl.memory import Memory
 from sfmrl.policies import orca_policy
 from sfmrl.progress import Progress
 from sfmrl.rewards import reward_terms

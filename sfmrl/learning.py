@@ -1,6 +1,8 @@
-"""Gradient descent on stored values: what imitation and reinforcement learning share.
+"""Gradient descent on stored values, which imitation and reinforcement learning share.
 
-Mean squared error between the network's value and the stored one, as in CrowdNav.
+The loss is the mean squared error between the network's value of a state and the stored one, as in CrowdNav. `Memory`
+is the replay memory, `Fit` a network on its way through the epochs of imitation, and `Learner` one on its way through
+the episodes of deep V-learning.
 """
 
 import json
@@ -12,73 +14,60 @@ import numpy as np
 
 from sfmrl.config import Config, ConfigError, Imitation, Reinforcement
 from sfmrl.fast import FastNetwork
-from sfmrl.memory import Memory
+from sfmrl.fast.optimizers import OPTIMIZERS, SGD, forget
+from sfmrl.scenes import generator
+from sfmrl.states import OWN, column_names, mirrored_columns
 
-MOMENTUM = 0.9  # of SGD, as in the paper
-MEAN, SQUARE, TINY = 0.9, 0.999, 1e-8  # of Adam, as its authors suggest
-FORGOTTEN = 1e-20  # a mean gradient too small to move a parameter; hundreds of steps later it would be denormal
+PARTS = ("network", "actor", "target", "optimizer", "memory")
+COUNTERS = ("episode", "batch", "failed", "rows", "validations")
 
 
-class SGD:
-    """Descent along the running sum of gradients, each step's weighing `MOMENTUM` less at the next (Polyak, 1964)."""
+class Memory:
+    """At most `capacity` states (K, F) with a value each; those of fewer elements are filled up with absent ones.
 
-    falls = False  # whether the learning rate falls to 0 over a training, in a straight line
+    With `mirror`, every other state that is taken out is mirrored left to right: it is worth as much.
+    """
 
-    def __init__(self, network: FastNetwork) -> None:
-        self.network = network
-        self.moments = [np.zeros_like(network.flat)]
-        self.steps = 0
+    def __init__(self, capacity: int, elements: int, *, forces: bool = False, mirror: bool = False) -> None:
+        columns, own = len(column_names(forces)), len(OWN) + 2 * forces
+        self.mirror = mirrored_columns(forces) if mirror else None
+        self.states = np.empty((capacity, elements, columns), dtype=np.float32)
+        self.values = np.empty(capacity, dtype=np.float32)
+        self.own = own  # the columns from here on are the element's, and NaN where it is absent
+        self.size = self.next = 0
 
-    def rate(self, highest: float, progress: float) -> float:
-        """The learning rate after `progress`, from 0 to 1, of a training."""
-        return highest * (1.0 - progress) if self.falls else highest
+    def __len__(self) -> int:
+        return self.size
 
-    def step(self, rate: float) -> None:
-        """Move the network's parameters at learning rate `rate`."""
-        (velocity,) = self.moments
-        velocity *= np.float32(MOMENTUM)
-        velocity += self.network.gradient
-        self.network.flat -= np.float32(rate) * velocity
-        self.steps += 1
+    def push(self, states: np.ndarray, values: np.ndarray) -> None:
+        """Add states (S, k, F) with k <= K, and their values (S,), in order."""
+        capacity, elements = self.states.shape[:2]
+        states, values = states[-capacity:], values[-capacity:]
+        where = (self.next + np.arange(len(states))) % capacity
+        present = states.shape[1]
+        self.states[where, :present] = states
+        if present < elements:
+            self.states[where, present:, : self.own] = states[:, :1, : self.own]
+            self.states[where, present:, self.own :] = np.nan
+        self.values[where] = values
+        self.next = int((self.next + len(states)) % capacity)
+        self.size = min(self.size + len(states), capacity)
+
+    def take(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The states (B, K, F) and values (B,) at some indices."""
+        states = self.states[rows]
+        if self.mirror is not None:
+            states[::2] *= self.mirror
+        return states, self.values[rows]
 
     def state_dict(self) -> dict[str, Any]:
-        """What it has to keep to go on."""
-        return {"moments": self.moments, "steps": self.steps}
+        """All that is stored, for a checkpoint."""
+        return {"states": self.states[: self.size], "values": self.values[: self.size], "next": self.next}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Take back what `state_dict` gave."""
-        self.moments, self.steps = saved["moments"], saved["steps"]
-
-
-class Adam(SGD):
-    """Descent along the running mean of gradients over the root of that of their squares (Kingma and Ba, 2015)."""
-
-    falls = True
-
-    def __init__(self, network: FastNetwork) -> None:
-        super().__init__(network)
-        self.moments.append(np.zeros_like(network.flat))
-
-    def step(self, rate: float) -> None:
-        """Move the network's parameters at learning rate `rate`; both means are corrected for their start at 0."""
-        mean, square = self.moments
-        self.steps += 1
-        change = self.network.gradient - mean
-        change *= np.float32(1 - MEAN)
-        mean += change
-        np.square(self.network.gradient, out=change)
-        change -= square
-        change *= np.float32(1 - SQUARE)
-        square += change
-        np.sqrt(square, out=change)
-        change *= np.float32((1 - SQUARE**self.steps) ** -0.5)
-        change += np.float32(TINY)
-        np.divide(mean, change, out=change)
-        change *= np.float32(rate / (1 - MEAN**self.steps))
-        self.network.flat -= change
-
-
-OPTIMIZERS: dict[str, type[SGD]] = {"sgd": SGD, "adam": Adam}
+        self.size, self.next = len(saved["values"]), saved["next"]
+        self.states[: self.size], self.values[: self.size] = saved["states"], saved["values"]
 
 
 @np.errstate(over="ignore", invalid="ignore")  # found by `mean_loss`
@@ -102,16 +91,6 @@ def mean_loss(losses: list[float], optimizer: SGD, settings: Imitation | Reinfor
             "--learning-rate. This one keeps its last good checkpoint"
         )
     return loss
-
-
-def forget(optimizer: SGD) -> None:
-    """Take what is left of gradients long past out of an optimizer's running means; to be done every few hundred steps.
-
-    A unit that is no longer active has no gradient, and its mean falls until it is denormal, which processors are slow
-    with: a tenth of the parameters made a step of Adam more than twice as slow.
-    """
-    mean = optimizer.moments[0]
-    mean[np.abs(mean) < FORGOTTEN] = 0.0
 
 
 class Fit:
@@ -153,6 +132,79 @@ class Fit:
         self.optimizer.load_state_dict(saved["optimizer"])
         set_generator_state(self.rng, saved["rng"])
         self.epoch = saved["epoch"]
+
+
+class Learner:
+    """All that has to be kept to go on to the same bits after an interruption."""
+
+    def __init__(self, network: FastNetwork, memory: Memory, config: Config) -> None:
+        self.config, self.memory, self.network = config, memory, network
+        self.target = network.copy()
+        # What explores: the network itself, or what it was before the batches that are being learnt meanwhile.
+        self.actor = network.copy() if config.reinforcement.parallel > 1 else network
+        self.optimizer = OPTIMIZERS[config.optimizer](network)
+        self.rng = generator(config.seed, "batches")
+        self.episode = self.batch = 0
+        self.failed: list[list[int]] = []  # scenes in which the robot failed at its last try, and the episode after it
+        self.rows: list[dict[str, Any]] = []
+        self.validations: list[dict[str, Any]] = []
+
+    def learn(self, batches: int) -> float:
+        """So many batches of gradient descent on what is stored; returns their mean loss (NaN without any)."""
+        settings = self.config.reinforcement
+        if not len(self.memory):
+            return float("nan")
+        losses = []
+        forget(self.optimizer)
+        stored, size = len(self.memory), min(settings.batch_size, len(self.memory))
+        # All draws in a row: between batches, each would take eight times as long, out of the processor's cache.
+        for rows in [self.rng.choice(stored, size, replace=False) for _ in range(batches)]:
+            progress = self.batch / max(settings.episodes * settings.batches, 1)
+            rate = self.optimizer.rate(settings.learning_rate, progress)
+            losses.append(learn(self.network, self.optimizer, rate, *self.memory.take(rows)))
+            self.batch += 1
+        return mean_loss(losses, self.optimizer, settings) if losses else float("nan")
+
+    def advance(self, episodes: int) -> None:
+        """So many more episodes have been learnt from: renew the target network where its interval has passed."""
+        interval = self.config.reinforcement.target_interval
+        renew = self.episode // interval < (self.episode + episodes) // interval
+        self.episode += episodes
+        if renew:
+            self.target.flat[:] = self.network.flat
+
+    def scenes_for(self, episodes: range) -> list[int]:
+        """The scenes in which to play the next episodes: their own or, in up to half of them, where it has failed.
+
+        Only failures that it has learnt from count, and not those of the round before, which is being learnt meanwhile.
+        """
+        learnt = [scene for scene, after in self.failed if after < episodes.start]
+        again = learnt[: len(episodes) // 2] if self.config.reinforcement.retry else []
+        return [*again, *episodes[len(again) :]]
+
+    def note_failures(self, scenes: np.ndarray, outcome: np.ndarray) -> None:
+        """Keep the numbers of the scenes (E,) whose episodes had another outcome (E,) than success, oldest first."""
+        tried, following = set(scenes.tolist()), self.episode + len(scenes)
+        self.failed = [pair for pair in self.failed if pair[0] not in tried]
+        self.failed += [[scene, following] for scene in scenes[outcome != "success"].tolist()]
+
+    def renew_actor(self) -> None:
+        """Let the next episodes be played with the network as it is now."""
+        self.actor.flat[:] = self.network.flat
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that decides how the training goes on."""
+        parts = {name: getattr(self, name).state_dict() for name in PARTS}
+        counters = {name: getattr(self, name) for name in COUNTERS}
+        return parts | counters | {"rng": generator_state(self.rng)}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Take back what `state_dict` gave."""
+        for name in PARTS:
+            getattr(self, name).load_state_dict(saved[name])
+        for name in COUNTERS:
+            setattr(self, name, saved[name])
+        set_generator_state(self.rng, saved["rng"])
 
 
 def generator_state(rng: np.random.Generator) -> str:

@@ -6,8 +6,9 @@ Play with epsilon-greedy lookahead, store each state with the value its episode 
 from collections.abc import Callable, Iterator
 
 from sfmrl.episodes import Record
-from sfmrl.exploration import Explored, Explorer, remember
-from sfmrl.learner import Learner
+from sfmrl.exploration import Explored, remember
+from sfmrl.fast.explorer import Explorer
+from sfmrl.learning import Learner
 
 
 def reinforce(learner: Learner, explorer: Explorer, until: int) -> Iterator[tuple[Record, float]]:

@@ -11,12 +11,12 @@ from sfmrl.config import Config, ConfigError, Reinforcement
 from sfmrl.demonstrations import load_demonstrations, save_demonstrations
 from sfmrl.episodes import Record
 from sfmrl.evaluation import episode_rows, evaluation_record, metrics
-from sfmrl.exploration import Explorer
 from sfmrl.fast import FastNetwork
+from sfmrl.fast.explorer import Explorer
 from sfmrl.files import DamagedFile, digest_of, read_sums
 from sfmrl.folders import BEST, DEMONSTRATIONS, run_folders, unfinished
 from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
-from sfmrl.learner import Learner
+from sfmrl.learning import Learner
 from sfmrl.lookahead import Policy, RememberingPolicy, SarlPolicy
 from sfmrl.policies import WEIGHTS
 from sfmrl.progress import Progress, no_progress

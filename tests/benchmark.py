@@ -25,11 +25,11 @@ from sfmrl.config import Config, Reward, Simulation
 from sfmrl.crowd import CROWDS
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.evaluation import evaluation_record
-from sfmrl.exploration import Explorer, remember
+from sfmrl.exploration import remember
 from sfmrl.fast import as_fast, kernels
+from sfmrl.fast.explorer import Explorer
 from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
-from sfmrl.learner import Learner
-from sfmrl.learning import OPTIMIZERS, learn
+from sfmrl.learning import OPTIMIZERS, Learner, learn
 from sfmrl.lookahead import SarlPolicy, available_cores
 from sfmrl.network import ValueNetwork
 from sfmrl.planner import plan

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from conftest import environment
 
-from sfmrl.exploration import Explored, Explorer
+from sfmrl.exploration import Explored
 from sfmrl.fast import FastNetwork, new_network
+from sfmrl.fast.explorer import Explorer
 from sfmrl.variants import make_config
 
 CONFIG = make_config("quick", simulation={"time_limit": 6.0}, reinforcement={"environment": "1"})
@@ -60,7 +61,7 @@ def test_the_work_of_a_process_that_was_killed_is_done_here(actor, aside, busy):
 
 
 TRAINING = """
-from sfmrl.exploration import Explorer
+from sfmrl.fast.explorer import Explorer
 from sfmrl.fast import new_network
 from sfmrl.variants import make_config
 

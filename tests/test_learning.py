@@ -16,10 +16,8 @@ from sfmrl.evaluation import evaluate
 from sfmrl.exploration import epsilon, explore, remember
 from sfmrl.fast import FastNetwork, new_network
 from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
-from sfmrl.learner import Learner
-from sfmrl.learning import OPTIMIZERS, Fit, forget, generator_state, learn, set_generator_state
+from sfmrl.learning import OPTIMIZERS, Fit, Learner, Memory, forget, generator_state, learn, set_generator_state
 from sfmrl.lookahead import SarlPolicy
-from sfmrl.memory import Memory
 from sfmrl.progress import no_progress
 from sfmrl.scenes import sample_scenes
 from sfmrl.states import robot_states

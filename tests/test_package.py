@@ -53,10 +53,10 @@ LEVELS = (
     ),
     (
         "evaluation",
-        "memory",
+        "fast.optimizers",
         "learning",
-        "learner",
         "exploration",
+        "fast.explorer",
         "imitation",
         "reinforcement",
         "runs",

@@ -1,0 +1,83 @@
+"""SGD with momentum and Adam in NumPy, on the one array that holds a network's parameters."""
+
+from typing import Any
+
+import numpy as np
+
+from sfmrl.fast.network import FastNetwork
+
+MOMENTUM = 0.9  # of SGD, as in the paper
+MEAN, SQUARE, TINY = 0.9, 0.999, 1e-8  # of Adam, as its authors suggest
+FORGOTTEN = 1e-20  # a mean gradient too small to move a parameter; hundreds of steps later it would be denormal
+
+
+class SGD:
+    """Descent along the running sum of gradients, each step's weighing `MOMENTUM` less at the next (Polyak, 1964)."""
+
+    falls = False  # whether the learning rate falls to 0 over a training, in a straight line
+
+    def __init__(self, network: FastNetwork) -> None:
+        self.network = network
+        self.moments = [np.zeros_like(network.flat)]
+        self.steps = 0
+
+    def rate(self, highest: float, progress: float) -> float:
+        """The learning rate after `progress`, from 0 to 1, of a training."""
+        return highest * (1.0 - progress) if self.falls else highest
+
+    def step(self, rate: float) -> None:
+        """Move the network's parameters at learning rate `rate`."""
+        (velocity,) = self.moments
+        velocity *= np.float32(MOMENTUM)
+        velocity += self.network.gradient
+        self.network.flat -= np.float32(rate) * velocity
+        self.steps += 1
+
+    def state_dict(self) -> dict[str, Any]:
+        """What it has to keep to go on."""
+        return {"moments": self.moments, "steps": self.steps}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Take back what `state_dict` gave."""
+        self.moments, self.steps = saved["moments"], saved["steps"]
+
+
+class Adam(SGD):
+    """Descent along the running mean of gradients over the root of that of their squares (Kingma and Ba, 2015)."""
+
+    falls = True
+
+    def __init__(self, network: FastNetwork) -> None:
+        super().__init__(network)
+        self.moments.append(np.zeros_like(network.flat))
+
+    def step(self, rate: float) -> None:
+        """Move the network's parameters at learning rate `rate`; both means are corrected for their start at 0."""
+        mean, square = self.moments
+        self.steps += 1
+        change = self.network.gradient - mean
+        change *= np.float32(1 - MEAN)
+        mean += change
+        np.square(self.network.gradient, out=change)
+        change -= square
+        change *= np.float32(1 - SQUARE)
+        square += change
+        np.sqrt(square, out=change)
+        change *= np.float32((1 - SQUARE**self.steps) ** -0.5)
+        change += np.float32(TINY)
+        np.divide(mean, change, out=change)
+        change *= np.float32(rate / (1 - MEAN**self.steps))
+        self.network.flat -= change
+
+
+OPTIMIZERS: dict[str, type[SGD]] = {"sgd": SGD, "adam": Adam}
+
+
+def forget(optimizer: SGD) -> None:
+    """Take what is left of gradients long past out of an optimizer's running means; to be done every few hundred steps.
+
+    A unit that is no longer active has no gradient, and its mean falls until it is denormal, which processors are slow
+    with: a tenth of the parameters made a step of Adam more than twice as slow.
+    """
+    mean = optimizer.moments[0]
+    mean[np.abs(mean) < FORGOTTEN] = 0.0
