@@ -14,8 +14,10 @@ from typing import Any
 
 from sfmrl.bits import machine_bits
 from sfmrl.evaluation import evaluation_record, metrics
+from sfmrl.lookahead import RememberingPolicy, available_cores
 from sfmrl.models import FOLDER
-from sfmrl.policies import WEIGHTS, load_policy
+from sfmrl.policies import WEIGHTS
+from sfmrl.recovery import with_recovery
 from sfmrl.results import Trained, read_row
 from sfmrl.runs import open_run
 from sfmrl.tables import TABLES, make_jobs, parse_seeds, run_folder
@@ -42,9 +44,10 @@ def figures(policy: Any, environment: str, episodes: int) -> tuple[dict[str, Any
 
 def write_card(card: dict[str, Any], episodes: int) -> None:
     """Test a model alone and with recovery, and write its card."""
-    policy = load_policy(FOLDER / f"{card['name']}.npz")
-    helped, outcomes = figures(policy, card["environment"], episodes)
-    alone, _ = figures(policy.original, card["environment"], episodes)
+    network, config = load_weights(FOLDER / f"{card['name']}.npz")
+    policy = RememberingPolicy(network, config, available_cores())
+    alone, _ = figures(policy, card["environment"], episodes)
+    helped, outcomes = figures(with_recovery(policy, config.planner), card["environment"], episodes)
     card = card | {"bits": machine_bits(), "alone": alone, "with_recovery": helped}
     card["outcomes"] = "".join(outcome[0] for outcome in outcomes)
     (FOLDER / f"{card['name']}.json").write_text(json.dumps(card, indent=2) + "\n")
