@@ -192,6 +192,9 @@ class Reinforcement(_Checked):
     retry: bool = knob(False, "play up to half of each round in scenes where the robot failed at its last try (ours)")
     target_interval: int = knob(50, "episodes between updates of the target network (CrowdNav)", 1, 10_000_000)
     memory: int = knob(100_000, "states kept to learn from (CrowdNav)", 1, 10_000_000)
+    average: int = knob(
+        0, "number of batches over which the tested weights are averaged (Polyak, 1992); 0: off", 0, 10_000_000
+    )
     environment: str = knob("table1", "environments to train in, and their shares")
     test_environment: str = knob(
         "table1",

@@ -18,7 +18,7 @@ from sfmrl.fast.optimizers import OPTIMIZERS, SGD, forget
 from sfmrl.scenes import generator
 from sfmrl.states import OWN, column_names, mirrored_columns
 
-PARTS = ("network", "actor", "target", "optimizer", "memory")
+PARTS = ("network", "actor", "target", "average", "optimizer", "memory")
 COUNTERS = ("episode", "batch", "failed", "rows", "validations")
 
 
@@ -140,6 +140,7 @@ class Learner:
     def __init__(self, network: FastNetwork, memory: Memory, config: Config) -> None:
         self.config, self.memory, self.network = config, memory, network
         self.target = network.copy()
+        self.average = network.copy()  # of the network over the last batches (Polyak and Juditsky, 1992)
         # What explores: the network itself, or what it was before the batches that are being learnt meanwhile.
         self.actor = network.copy() if config.reinforcement.parallel > 1 else network
         self.optimizer = OPTIMIZERS[config.optimizer](network)
@@ -148,6 +149,11 @@ class Learner:
         self.failed: list[list[int]] = []  # scenes in which the robot failed at its last try, and the episode after it
         self.rows: list[dict[str, Any]] = []
         self.validations: list[dict[str, Any]] = []
+
+    @property
+    def tested(self) -> FastNetwork:
+        """The network that validation and test use."""
+        return self.average if self.config.reinforcement.average else self.network
 
     def learn(self, batches: int) -> float:
         """So many batches of gradient descent on what is stored; returns their mean loss (NaN without any)."""
@@ -162,6 +168,8 @@ class Learner:
             progress = self.batch / max(settings.episodes * settings.batches, 1)
             rate = self.optimizer.rate(settings.learning_rate, progress)
             losses.append(learn(self.network, self.optimizer, rate, *self.memory.take(rows)))
+            if settings.average:
+                self.average.flat += np.float32(1 / settings.average) * (self.network.flat - self.average.flat)
             self.batch += 1
         return mean_loss(losses, self.optimizer, settings) if losses else float("nan")
 

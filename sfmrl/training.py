@@ -84,7 +84,7 @@ def run_reinforcement(
     run.save_checkpoint(learner.state_dict())
     result = test(run, learner, stop.watch(progress), threads)
     run.write_json("result.json", result | {"bits": machine_bits()})  # a training may end on another machine
-    run.finish(learner.network)
+    run.finish(learner.tested)
     return result
 
 
@@ -128,11 +128,11 @@ def play(policy: Policy, phase: str, episodes: int, progress: Progress) -> Recor
 def validate(run: Run, learner: Learner, stop: StopSignal, say: Callable[[str], None], threads: int) -> None:
     """Validate the network as it is now, add a row to validation.csv, and keep the weights if none were better."""
     settings = run.config.reinforcement
-    policy = SarlPolicy(learner.network, run.config, threads)
+    policy = SarlPolicy(learner.tested, run.config, threads)
     rates = metrics(play(policy, "validation", settings.validation_episodes, stop.watch(no_progress)))
     row = {"episode": learner.episode} | {name: rates[name] for name in VALIDATED}
     if row["success"] >= max((old["success"] for old in learner.validations), default=0.0):
-        save_weights(learner.network, run.config, run.folder / BEST)
+        save_weights(learner.tested, run.config, run.folder / BEST)
     learner.validations.append(row)
     run.append_rows("validation.csv", [row])
     say(f"validation at {learner.episode} of {settings.episodes}: {summary(rates)}")
@@ -141,7 +141,7 @@ def validate(run: Run, learner: Learner, stop: StopSignal, say: Callable[[str], 
 def test(run: Run, learner: Learner, progress: Progress, threads: int) -> dict[str, Any]:
     """Test the trained network alone, with recovery and, if asked, as of its best validation; returns the metrics."""
     config, settings = run.config, run.config.reinforcement
-    alone = RememberingPolicy(learner.network, config, threads)
+    alone = RememberingPolicy(learner.tested, config, threads)
     record = play(alone, "test", settings.test_episodes, progress)
     result = metrics(record)
     run.write_table("test.csv", episode_rows(record))

@@ -37,6 +37,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "epsilon_episodes": 500,
             "targets": "returns",
             "retry": True,
+            "average": 300,
         },
     },
 }

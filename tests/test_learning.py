@@ -239,6 +239,18 @@ def test_the_target_network_is_renewed_at_its_interval_whatever_is_played_side_b
     assert learner.episode == 64
 
 
+def test_the_average_follows_the_network_and_is_what_is_tested():
+    config = tiny_config(average=4, learning_rate=0.1)
+    learner = Learner(plain_network(), make_memory(config), config)
+    learner.memory.push(*random_batch(1, count=20))
+    before = learner.network.flat.copy()
+    learner.learn(1)
+    assert (learner.network.flat != before).any()
+    np.testing.assert_allclose(learner.average.flat, 0.75 * before + 0.25 * learner.network.flat, rtol=1e-6, atol=1e-8)
+    assert learner.tested is learner.average
+    assert Learner(plain_network(), learner.memory, tiny_config()).tested is not learner.average
+
+
 def test_validations_are_due_at_their_interval_once_and_at_the_end():
     config = tiny_config(validation_interval=20, episodes=50)
     learner = Learner(plain_network(), make_memory(config), config)

@@ -305,7 +305,7 @@ def test_a_training_that_diverges_stops_and_names_its_learning_rate(finished, tm
     assert not run.finished
     assert all(np.isfinite(value).all() for value in run.load_checkpoint()["fit"]["network"].values())
     reinforcement = {"episodes": 20, "parallel": 5, "learning_rate": 1000.0}
-    reinforcement |= {"validation_episodes": 1, "environment": "5", "test_environment": "5"}
+    reinforcement |= {"validation_episodes": 1, "environment": "5", "test_environment": "5", "average": 0}
     run = start_run(
         override(TINY, {"optimizer": "sgd", "reinforcement": reinforcement}), finished, False, tmp_path / "rl"
     )
