@@ -22,7 +22,7 @@ Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, sect
 
 import numpy as np
 
-from sfmrl.vectors import INFINITY, dot, limit_speed, put, turn_left
+from sfmrl.orca.vectors import INFINITY, dot, limit_speed, put, turn_left
 
 OUT_OF_REACH = np.float32(1e6)  # m/s
 ROUNDING = np.float32(1e-6)  # m/s

@@ -1,7 +1,7 @@
 """Standing polygons as edges, prepared once for a scene, and the origin from which ORCA's coordinates are taken.
 
 What an agent must know of an edge does not change while the scene plays: where it runs, in which direction the outline
-goes on at either end, and whether it turns outwards there. `polygon_edges` computes it; `orca_polygons.py` reads it.
+goes on at either end, and whether it turns outwards there. `polygon_edges` computes it; `edges.py` reads it.
 Left out: polygons that move, and outlines that cross themselves.
 """
 

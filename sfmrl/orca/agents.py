@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from sfmrl.vectors import bits, choose, det, dot, turn_right
+from sfmrl.orca.vectors import bits, choose, det, dot, turn_right
 
 HALF = np.float32(0.5)
 TINY = np.float32(1e-30)

@@ -18,8 +18,8 @@ Vectors are (2, K); what a pair has for both ends of its edge, start and end, ha
 
 import numpy as np
 
-from sfmrl.polygons import FIELDS
-from sfmrl.vectors import INFINITY, bits, choose, det, dot, turn_left, turn_right
+from sfmrl.orca.polygons import FIELDS
+from sfmrl.orca.vectors import INFINITY, bits, choose, det, dot, turn_left, turn_right
 
 COVERED = np.float32(1e-5)  # m/s by which a covered edge may stick out
 SIDES = np.array([[1], [-1]], np.float32)  # an edge's start is at the left, its end at the right

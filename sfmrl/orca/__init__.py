@@ -1,8 +1,8 @@
 """Optimal Reciprocal Collision Avoidance (ORCA): velocities at which nobody collides if everybody does the same.
 
-For each neighbour, an agent gives up the velocities on one side of a line in velocity space (`orca_agents.py`), and for
-each edge of a polygon near by (`orca_polygons.py`). It then moves with the velocity nearest to its preferred one on the
-permitted side of every line (`linear_programs.py`).
+For each neighbour, an agent gives up the velocities on one side of a line in velocity space (`agents.py`), and for
+each edge of a polygon near by (`edges.py`). It then moves with the velocity nearest to its preferred one on the
+permitted side of every line (`programs.py`).
 
 Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, sections 4 and 5, and where the paper leaves
 details open, the behaviour of the authors' RVO2 library. Left out: a search tree for neighbours.
@@ -17,11 +17,11 @@ from numbers import Integral
 import numpy as np
 
 from sfmrl.geometry import broadcast, numbers
-from sfmrl.linear_programs import least_violations, nearest_velocities, violations
-from sfmrl.orca_agents import agent_half_planes, mutual_half_planes
-from sfmrl.orca_polygons import edge_half_planes, uncovered
-from sfmrl.polygons import Edges, polygon_edges
-from sfmrl.vectors import INFINITY, limit_speed
+from sfmrl.orca.agents import agent_half_planes, mutual_half_planes
+from sfmrl.orca.edges import edge_half_planes, uncovered
+from sfmrl.orca.polygons import Edges, polygon_edges
+from sfmrl.orca.programs import least_violations, nearest_velocities, violations
+from sfmrl.orca.vectors import INFINITY, limit_speed
 
 __all__ = ["Edges", "orca_velocities", "polygon_edges"]
 
