@@ -22,10 +22,10 @@ Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, sect
 
 import numpy as np
 
-from sfmrl.orca.vectors import INFINITY, dot, limit_speed, put, turn_left
+from sfmrl.orca.vectors import INFINITY, det, dot, limit_speed, turn_left
 
 OUT_OF_REACH = np.float32(1e6)  # m/s
-ROUNDING = np.float32(1e-6)  # m/s
+ROUNDING = np.float32(1e-6)  # m/s by which a velocity on a line may violate it
 HUGE, TINY, TINIER = np.float32(1e38), np.float32(1e-20), np.float32(1e-30)
 
 
@@ -35,46 +35,29 @@ def nearest_velocities(half_planes, max_speed, preferred):
     half_planes (4, M, Q), max_speed (Q,) in m/s, preferred (2, Q) in m/s; all float32. Where there is none, the
     velocity is within the disc.
     """
-
-    def wish(line, program):
-        wish_x, wish_y = preferred.take(program, axis=1)
-        return line[2] * (wish_x - line[0]) + line[3] * (wish_y - line[1])
-
-    def cost(velocity, program):
-        away_x, away_y = velocity - preferred.take(program, axis=1)
-        return away_x * away_x + away_y * away_y
-
-    return _optima(half_planes, max_speed, limit_speed(preferred, max_speed), wish, cost, crowded=False)
+    return _optima(half_planes, max_speed, limit_speed(preferred, max_speed), preferred, linear=False)
 
 
 def least_violations(half_planes, n_hard, max_speed, velocity):
     """Return the velocities (2, Q) that violate the soft half-planes least, and whether there are any (Q,).
 
     The first n_hard of the half_planes (4, M, Q) are hard: never violated. max_speed (Q,) and any velocities (2, Q)
-    within it, the fewer half-planes they violate the better, are in m/s; all float32.
+    within it, which are overwritten, are in m/s; all float32.
     """
-    # Every velocity that no hard half-plane forbids violates some carrier: take the one that leaves fewer to try.
+    # Every velocity that no hard half-plane forbids violates some carrier: of the given one and rest, take the one that
+    # leaves fewer half-planes to try.
     violated = violations(half_planes, velocity) > 0
     violated_at_rest = violations(half_planes, np.zeros((2, 1), np.float32)) > 0
     at_rest = violated_at_rest.sum(axis=0) < violated.sum(axis=0)
-    if n_hard:
-        at_rest |= violated[:n_hard].any(axis=0)
-    violated ^= (violated ^ violated_at_rest) & at_rest
-    _, carrier, owner = _lines_where(violated[n_hard:], half_planes[:, n_hard:])
-    speed = max_speed[owner]
-    normal_x, normal_y = normal = turn_left(carrier[2:])
-    projected, possible = _bisectors(half_planes.take(owner, axis=2, mode="clip"), n_hard, carrier)
-
-    def wish(line, program):
-        return np.copysign(INFINITY, normal_x[program] * line[2] + normal_y[program] * line[3])
-
-    def cost(velocity, program):
-        return -(normal_x[program] * velocity[0] + normal_y[program] * velocity[1])
-
-    best, feasible = _optima(projected, speed, normal * speed, wish, cost, crowded=True)
+    at_rest |= violated[:n_hard].any(axis=0)
+    violated = np.where(at_rest, violated_at_rest, violated)
+    _, owner, carrier = _lines_where(violated[n_hard:], half_planes[:, n_hard:])
+    speed, outward = max_speed[owner], turn_left(carrier[2:])
+    bisectors, possible = _bisectors(half_planes.take(owner, axis=2), n_hard, carrier)
+    best, feasible = _optima(bisectors, speed, outward * speed, outward, linear=True)
     fits = (feasible & possible).nonzero()[0]
     found = np.zeros(len(max_speed), bool)
-    _keep_best(velocity, found, owner[fits], violations(carrier, best)[fits], best.take(fits, axis=1))
+    _keep_best(velocity, found, owner[fits], best.take(fits, axis=1), violations(carrier, best)[fits])
     return velocity, found
 
 
@@ -88,51 +71,65 @@ def violations(half_planes, velocity):
     return excess
 
 
-def _optima(half_planes, max_speed, velocity, wish, cost, *, crowded):
+def _optima(half_planes, max_speed, velocity, aim, linear):
     """Return the best permitted velocities (2, Q), and whether there are any (Q,).
 
-    `velocity` (2, Q) is the best within the disc alone. For lines (4, K) and their programs (K,), `wish` tells how far
-    along the line the best velocity would be, and `cost` how bad velocities (2, K) are. `crowded` adds a step between
-    the second and the third: the best on the line that is now violated most, within the one before. It pays where
-    several half-planes are still violated; the others come to the same end without it.
+    The best are those nearest to `aim` (2, Q), or if `linear`, those farthest in its direction. `velocity` (2, Q) is
+    the best within the disc alone, the result of step 1, and is overwritten.
     """
-    feasible = np.ones(len(max_speed), bool)
+    feasible, (x, y) = np.ones(len(max_speed), bool), velocity
 
-    def settle(line, program, left, right):
-        """Move to the best velocities between the ends of lines, and return which of the lines there are any on."""
-        feasible[program] = fits = left <= right
-        fits = fits.nonzero()[0]
-        put(velocity, program[fits], _along(line, left, right, wish(line, program)).take(fits, axis=1))
-        return fits
+    def move(m, q, line, left, right):
+        """Put programs q on the best places of their lines m between two ends; return those m and q that have any."""
+        best, fits = _best_on(line, left, right, aim.take(q, axis=1), linear)
+        feasible[q] = False
+        m, q = m[fits], q[fits]
+        feasible[q], x[q], y[q] = True, *best
+        return m, q
 
-    first, line, program = _most_violated(violations(half_planes, velocity), half_planes)
-    fits = settle(line, program, *_chord(line, max_speed[program]))
-    used, program = first[fits], program[fits]
-    excess = violations(half_planes, velocity)
-    excess.reshape(-1)[used] -= ROUNDING  # by which a velocity on the line may violate it
-    programs = np.arange(len(max_speed))
-    if crowded:
-        first = programs.copy()
-        first[program] = used
-        second, line, program = _most_violated(excess * feasible, half_planes)
-        first = first[program]
-        others = half_planes.reshape(4, -1).take(first, axis=1)[:, None]
-        fits = settle(line, program, *_interval(line, others, max_speed[program]))
-        programs = program[fits]
-        half_planes = half_planes.take(programs, axis=2)
-        excess = violations(half_planes, velocity.take(programs, axis=1))
-        for used in (first, second):
-            excess.reshape(-1)[used[fits] // len(max_speed) * len(fits) + np.arange(len(fits))] -= ROUNDING
+    # Step 2: the best on the line that is violated most.
+    m, q, line = _most_violated(violations(half_planes, velocity), half_planes)
+    m, q = move(m, q, line, *_chord(line, max_speed[q]))
+    excess, programs = violations(half_planes, velocity), np.arange(len(max_speed))
+    excess[m, q] -= ROUNDING
+    if linear:
+        # Once more, within the half-plane of the first line. Programs without a second one are settled.
+        first = np.zeros(len(max_speed), int)
+        first[q] = m
+        m, q, line = _most_violated(excess * feasible, half_planes)
+        m, q = move(m, q, line, *_interval(line, half_planes[:, first[q], q][:, None], max_speed[q]))
+        programs, half_planes, column = q, half_planes.take(q, axis=2), np.arange(len(q))
+        excess = violations(half_planes, velocity.take(q, axis=1))
+        excess[m, column] -= ROUNDING
+        excess[first[q], column] -= ROUNDING
 
-    _, line, column = _lines_where(excess > 0, half_planes)
-    program = programs[column]
-    feasible[program] = False
-    left, right = _interval(line, half_planes.take(column, axis=2, mode="clip"), max_speed[program])
-    candidate = _along(line, left, right, wish(line, program))
-    fits = (left <= right).nonzero()[0]
-    program, candidate = program[fits], candidate.take(fits, axis=1)
-    _keep_best(velocity, feasible, program, cost(candidate, program), candidate)
+    # Step 3: the best of the permitted parts of all lines that are still violated.
+    _, column, line = _lines_where(excess > 0, half_planes)
+    q = programs[column]
+    feasible[q] = False
+    left, right = _interval(line, half_planes.take(column, axis=2), max_speed[q])
+    best, fits = _best_on(line, left, right, aim.take(q, axis=1), linear)
+    q = q[fits]
+    away = best - aim.take(q, axis=1)
+    _keep_best(velocity, feasible, q, best, -dot(aim.take(q, axis=1), best) if linear else dot(away, away))
     return velocity, feasible
+
+
+def _best_on(line, left, right, aim, linear):
+    """Return the best velocities (2, F) between two ends (K,) of lines (4, K), and which of the lines have any (F,)."""
+    wish = np.copysign(INFINITY, dot(aim, line[2:])) if linear else dot(aim - line[:2], line[2:])
+    best = line[:2] + np.minimum(np.maximum(wish, left), right) * line[2:]
+    fits = (left <= right).nonzero()[0]
+    return best.take(fits, axis=1), fits
+
+
+def _keep_best(velocity, found, program, candidate, cost):
+    """Write each program's candidate (2, K) of the least cost (K,) into velocity (2, Q), and True into found (Q,)."""
+    least = np.full(len(found), INFINITY)
+    np.minimum.at(least, program, cost)
+    best = (cost == least[program]).nonzero()[0]
+    program, (x, y) = program[best], velocity
+    found[program], x[program], y[program] = True, *candidate.take(best, axis=1)
 
 
 def _most_violated(excess, half_planes):
@@ -143,14 +140,10 @@ def _most_violated(excess, half_planes):
 
 
 def _lines_where(condition, half_planes):
-    """Return where the condition (M, Q) holds (K,), the lines (4, K) there, and the programs (K,) whose they are."""
+    """Return the indices m and q (K,) at which the condition (M, Q) holds, and the lines (4, K) there."""
     chosen = condition.ravel().nonzero()[0]
-    return chosen, half_planes.reshape(4, -1).take(chosen, axis=1), chosen % condition.shape[1]
-
-
-def _along(line, left, right, wish):
-    """Return the velocities (2, K) on lines (4, K) that are nearest to `wish` between their ends `left` and `right`."""
-    return line[:2] + np.minimum(np.maximum(wish, left), right) * line[2:]
+    m = chosen // condition.shape[1]
+    return m, chosen - m * condition.shape[1], half_planes.reshape(4, -1).take(chosen, axis=1)
 
 
 def _chord(line, max_speed):
@@ -162,24 +155,22 @@ def _chord(line, max_speed):
 
 
 def _interval(line, others, max_speed):
-    """Return the left and right ends (K,) of the permitted part of lines (4, K); it is empty unless left <= right.
+    """Return the left and right ends (K,) of the part of lines (4, K) that others (4, M, K) permit inside the disc.
 
-    A line coincides with itself, and half-planes of zeros with everything: the tiny numbers make such pairs meet far
-    away on the right. Other parallel lines meet far away on the side that permits or forbids everything.
+    It is empty unless left <= right. A line coincides with itself, and half-planes of zeros with everything: the tiny
+    numbers make such pairs meet far away on the right. Other parallel lines meet far away on the side that permits or
+    forbids everything.
     """
-    sideways, sine = products = others[2:] * line[:1:-1, None]
-    sine -= sideways
+    sine = det(line[2:, None], others[2:])
     sine += TINIER
-    sideways, meeting = products = line[:2, None] - others[:2]
-    products *= others[:1:-1]
-    meeting -= sideways
+    meeting = det(others[2:], line[:2, None] - others[:2])
     meeting += TINY
     meeting /= sine
     # Where the sine is positive, the meeting is a right end, and the guard drops out of the maximum.
     guard = np.multiply(sine, -HUGE, out=sine)
     left, right = _chord(line, max_speed)
-    right = np.minimum(np.maximum(meeting, guard, out=sideways).min(axis=0, initial=INFINITY), right)
-    left = np.maximum(np.minimum(meeting, guard, out=sideways).max(axis=0, initial=-INFINITY), left)
+    right = np.minimum(np.maximum(meeting, guard).min(axis=0, initial=INFINITY), right)
+    left = np.maximum(np.minimum(meeting, guard).max(axis=0, initial=-INFINITY), left)
     return left, right
 
 
@@ -189,30 +180,15 @@ def _bisectors(half_planes, n_hard, line):
     half_planes (4, M, K), all those of the line's program, are overwritten; the hard ones stay as they are.
     """
     soft = half_planes[:, n_hard:]
-    none = (soft[2:] == 0).all(axis=0)
-    sideways, more = soft[:2] * soft[:1:-1]  # both offsets from the origin
-    more -= sideways
-    more -= line[2] * line[1] - line[3] * line[0]
-    more -= OUT_OF_REACH * none  # half-planes of zeros
-    turn = soft[2:]
-    turn -= line[2:, None]
+    more = det(soft[2:], soft[:2]) - det(line[2:], line[:2])  # violated at rest
+    more -= OUT_OF_REACH * (soft[2:] == 0).all(axis=0)  # half-planes of zeros
+    turn = soft[2:] - line[2:, None]
     squared = dot(turn, turn)
     # Of two lines in the same direction, one is violated more everywhere.
     possible = ~((squared == 0) & (more > 0)).any(axis=0)
     squared += TINIER
-    scale = 1 / np.sqrt(squared, out=squared)
+    scale = 1 / np.sqrt(squared)
     more *= scale
-    turn *= scale
-    np.multiply(more, turn[::-1], out=soft[:2])
-    np.negative(soft[0], out=soft[0])
+    np.multiply(turn, scale, out=soft[2:])
+    np.multiply(turn_left(soft[2:]), more, out=soft[:2])
     return half_planes, possible
-
-
-def _keep_best(velocity, found, program, cost, candidate):
-    """Write each program's candidate (2, K) of the least cost (K,) into velocity (2, Q), and True into found (Q,)."""
-    least = np.full(len(found), INFINITY)
-    np.minimum.at(least, program, cost)
-    best = (cost == least[program]).nonzero()[0]
-    program = program[best]
-    put(velocity, program, candidate.take(best, axis=1))
-    found[program] = True
