@@ -22,7 +22,6 @@ LEVELS = (
     (
         "orca.vectors",
         "orca.programs",
-        "orca.polygons",
         "orca.agents",
         "orca.edges",
         "orca",
