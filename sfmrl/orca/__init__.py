@@ -1,12 +1,12 @@
 """Optimal Reciprocal Collision Avoidance (ORCA): velocities at which nobody collides if everybody does the same.
 
-1. For each neighbor, an agent gives up the velocities on one side of a line in velocity space (`agents.py`).
+1. For each neighbour, an agent gives up the velocities on one side of a line in velocity space (`agents.py`).
 2. For each polygon edge within reach, it gives up those on one side of another line (`edges.py`).
 3. It takes the velocity nearest to its preferred one that all these half-planes permit. If there is none, it keeps to
-   the half-planes of edges and violates those of its neighbors as little as possible (`programs.py`).
+   the half-planes of edges and violates those of its neighbours as little as possible (`programs.py`).
 
 Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, sections 4 and 5, and where the paper leaves
-details open, the behaviour of the authors' RVO2 library. Left out: a search tree for neighbors.
+details open, the behaviour of the authors' RVO2 library. Left out: a search tree for neighbours.
 
 Everything is computed in float32 for whole batches. Arrays have their components first (`vectors.py`), then half-plane,
 agent and episode, (4, M, C, E). Nothing is summed over an axis: an episode has the same bits in any batch.
@@ -149,6 +149,7 @@ def _edges(polygons, position):
 
 
 def _positive(name, value, least=np.finfo(np.float32).tiny, most=np.finfo(np.float32).max):
+    """Return a single number as a float; raises ValueError, with its `name`, where it is out of range."""
     number = numbers(name, value)
     if number.ndim or not least <= number <= most:
         raise ValueError(f"{name} is {value!r}; it must be a finite number{' above 0' if least else ', 0 or more'}")

@@ -36,7 +36,7 @@ class Agents(NamedTuple):
 
 
 def neighbors(agents, own, others, most):
-    """Return the neighbors (M, C, E) of the agents in rows `own` (C,): all `others`, or the `most` nearest of them.
+    """Return the neighbours (M, C, E) of the agents in rows `own` (C,): all `others`, or the `most` nearest of them.
 
     `others` are the rows in which anybody is present, `own` among them. Of equally near ones, the first are taken.
     """
@@ -55,7 +55,7 @@ def neighbors(agents, own, others, most):
 
 
 def agent_half_planes(agents, others, time_step, neighbor_distance, time_horizon):
-    """Return the half-planes (4, M, C, E) of agents (C, E) for their neighbors (M, C, E), of zeros for those far away.
+    """Return the half-planes (4, M, C, E) of agents (C, E) for their neighbours (M, C, E), of zeros for those far away.
 
     time_step and time_horizon are in s, neighbor_distance in m.
     """

@@ -10,8 +10,8 @@ details open, the authors' RVO2 library. Of edges that are equally near, as the 
 is earlier in RVO2's search tree goes first. Left out: polygons that move, outlines that cross themselves, and the
 tree's habit of splitting an edge in two along another one's line.
 
-Seen from outside, an edge starts at the left. What its start and its end have has an axis for them: x and y of both are
-(2, 2, ...).
+Seen from outside, an edge starts at the left. Values for both its ends have an axis for them: x and y of start and end
+are (2, 2, ...).
 """
 
 from typing import NamedTuple
@@ -151,14 +151,14 @@ def _tree_order(start, end):
 
 
 def edge_half_planes(edges, agents, max_speed, time_horizon):
-    """Return half-planes (4, K), one for each pair of an agent and an edge that counts for it, and what sorts them.
+    """Return half-planes (4, K), one for each pair of an agent and an edge that counts for it, ends, keys and owners.
 
-    max_speed (C, E) is in m/s, time_horizon in s. What sorts them: the ends (2, 2, K) of the edges in m, seen from the
-    agents; keys (K,), integers that are lower for nearer edges; and the agents (K,), numbered in the order of (C, E).
+    max_speed (C, E) is in m/s, time_horizon in s. The ends (2, 2, K) are those of the edges in m, seen from the agents;
+    keys (K,) are integers, lower for nearer edges; owners (K,) are the agents, numbered in the order of (C, E).
     """
     time_horizon = np.float32(time_horizon)
     sights, counts = _sights(edges, agents, time_horizon * max_speed + agents.radius)
-    # From here on for pairs alone: their numbers among all (S, C, E), and those of their edges (S, E), agents (C, E).
+    # From here on for pairs alone, given by their numbers in (S, C, E), and those of edges in (S, E), agents in (C, E).
     pair = counts.ravel().nonzero()[0]
     slot, owner = np.divmod(pair, max_speed.size)
     edge = slot * max_speed.shape[1] + owner % max_speed.shape[1]
@@ -169,15 +169,15 @@ def edge_half_planes(edges, agents, max_speed, time_horizon):
 
 
 def _pick(arrays, index, axes):
-    """Return the values (..., K) at an index (K,) into the last `axes` of arrays, which count as one."""
+    """Return the values (..., K) of arrays at an index (K,) into their last `axes`, taken as one axis."""
     return [values.reshape(*values.shape[:-axes], -1).take(index, axis=-1) for values in arrays]
 
 
 def _sights(edges, agents, reach):
-    """Return how edges look from agents, and whether they count for agents with a `reach` (C, E) in m.
+    """Return where edges are, seen from agents, and whether they count for agents with a `reach` (C, E) in m.
 
-    All arrays end in (S, C, E). Edges look like this: their ends (2, 2, ...) in m, seen from the agent; where beside
-    the edge the agent is, from 0 at its start to 1 at its end; squared distances in m^2 to the edge's line and to it.
+    Four arrays that end in (S, C, E) say where: both ends (2, 2, ...) in m; how far along the edge the agent is, from 0
+    at its start to 1 at its end; and the squared distances in m^2 to the edge's line and to the edge.
     """
     ends = edges.ends[..., None, :] - agents.position[:, None, None]
     start, way = ends[:, 0], (edges.ends[:, 1] - edges.ends[:, 0])[..., None, :]
@@ -198,7 +198,7 @@ def uncovered(half_planes, ends, key, owner, chosen, radius, time_horizon):
     """
     pair = chosen[owner].nonzero()[0]
     column = (np.cumsum(chosen) - 1)[owner[pair]]
-    pair = pair[np.argsort(column << 47 | key[pair])]
+    pair = pair[np.argsort(column << 47 | key[pair])]  # agent by agent, and then nearest first; keys have 47 bits
     pair, kept = _in_columns(pair, np.bincount(column, minlength=len(radius)))
     # A half-plane covers an edge where it forbids both ends, widened by the radius: (nearer, farther, Q).
     lines, ends = half_planes.take(pair, axis=1), ends.take(pair, axis=-1)
@@ -219,11 +219,11 @@ def _in_columns(listed, count):
 def _half_planes(ends, along, line_squared, squared, edges, agents, rate):
     """Return the half-planes (4, K) of pairs of edges and agents, and whether they constrain (K,).
 
-    How the edges look is as in `_sights`, rate is 1 / time_horizon.
+    The first four are as in `_sights`, rate is 1 / time_horizon.
     """
     corner, onward, convex, direction = ends.copy(), edges.onward, edges.convex, edges.direction
-    # The agent sees the edge from so far beyond one end that this corner hides the rest: the corner alone is the
-    # obstacle, as both its left and its right end, and the edge itself is the outline's other side.
+    # The agent is beyond an end and sees the edge all but end-on: that corner alone is the obstacle, as both its left
+    # and its right end, and on one side the outline goes on with the edge itself.
     end_on = line_squared <= agents.radius * agents.radius
     beyond = end_on & (along < 0), end_on & (along > 1)
     single = beyond[0] | beyond[1]
@@ -236,14 +236,14 @@ def _half_planes(ends, along, line_squared, squared, edges, agents, rate):
     cut, margin = corner * rate, agents.radius * rate
     half_planes, counts = _tangents(cut, margin, agents.velocity, leg, foreign, direction, single)
 
-    # The agent touches the edge: it must not come nearer, to the corner if it sees that alone, else to the edge.
+    # The agent touches the edge: it must not come nearer to the corner, if it sees that alone, or else to the edge.
     touching = squared <= agents.radius * agents.radius
     away = choose(single, unit(turn_left(corner[:, 0])), -direction)
     half_planes = choose(touching, np.concatenate([np.zeros_like(away), away]), half_planes)
     counts |= touching
-    # It sees only a corner at which the outline turns inwards: the neighbouring edge is in front of it and counts.
+    # It sees only a corner at which the outline turns inwards: the neighbouring edge is in front and counts instead.
     counts &= convex[0] | ~single
-    # It touches the edge's end and is on the outer side of the next edge, too: that one counts.
+    # It touches the end's corner and is on the outer side of the next edge, too: that one counts instead.
     counts &= ~(touching & beyond[1]) | (det(corner[:, 1], onward[:, 1]) >= 0)
     return half_planes, counts
 
