@@ -16,7 +16,7 @@ from numbers import Integral
 
 import numpy as np
 
-from sfmrl.orca.agents import Agents, agent_half_planes, neighbors
+from sfmrl.orca.agents import Agents, agent_half_planes, mutual_half_planes, neighbors
 from sfmrl.orca.edges import Edges, edge_half_planes, polygon_edges, uncovered
 from sfmrl.orca.programs import least_violations, nearest_velocities, violations
 from sfmrl.orca.vectors import limit_speed, numbers
@@ -74,8 +74,12 @@ def orca_velocities(
         for first in range(0, len(position), size):
             block = slice(first, first + size)
             seen, walls = Agents(*(v[..., block] for v in everybody)), Edges(*(v[..., block] for v in edges))
-            movers, near = seen.take(own), neighbors(seen, own, others, max_neighbors)
-            soft = agent_half_planes(movers, near, time_step, neighbor_distance, time_horizon)
+            movers = seen.take(own)
+            if len(own) == len(others) <= max_neighbors + 1:
+                soft = mutual_half_planes(movers, time_step, neighbor_distance, time_horizon)
+            else:
+                near = neighbors(seen, own, others, max_neighbors)
+                soft = agent_half_planes(movers, near, time_step, neighbor_distance, time_horizon)
             wish = preferred[..., block].take(own, axis=1), max_speed[:, block].take(own, axis=0)
             velocities[block, own] = _velocities(movers, *wish, soft, walls, obstacle_time_horizon).T
     velocities[~wanted] = np.nan

@@ -8,6 +8,7 @@ the shortest way out.
 Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, section 4.
 """
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -59,8 +60,33 @@ def agent_half_planes(agents, others, time_step, neighbor_distance, time_horizon
 
     time_step and time_horizon are in s, neighbor_distance in m.
     """
-    away, reach = others.position - agents.position[:, None], others.radius + agents.radius
-    velocity = agents.velocity[:, None] - others.velocity
+    agents = Agents(*(values[..., None, :, :] for values in agents))
+    change, direction = _changes(agents, others, time_step, neighbor_distance, time_horizon)
+    change += agents.velocity
+    return np.concatenate([change, direction])
+
+
+def mutual_half_planes(agents, time_step, neighbor_distance, time_horizon):
+    """Return the half-planes (4, C - 1, C, E) of agents (C, E) for all the others, with half the work.
+
+    What one of a couple has on its left, the other has on its right, to the bit.
+    """
+    one, other = _couples(agents.radius.shape[0])
+    first, second = agents.take(one), agents.take(other)
+    change, direction = _changes(first, second, time_step, neighbor_distance, time_horizon)
+    half_planes = np.empty((4, max(agents.radius.shape[0] - 1, 0), *agents.radius.shape), np.float32)
+    half_planes[:2, other - 1, one], half_planes[:2, one, other] = first.velocity + change, second.velocity - change
+    half_planes[2:, other - 1, one], half_planes[2:, one, other] = direction, -direction
+    return half_planes
+
+
+_couples = cache(lambda count: np.triu_indices(count, 1))  # the rows of both of all couples
+
+
+def _changes(agents, others, time_step, neighbor_distance, time_horizon):
+    """Return how agents change their velocities, and the half-planes' directions, both (2, ...), 0 where far away."""
+    away, reach = others.position - agents.position, others.radius + agents.radius
+    velocity = agents.velocity - others.velocity
     squared, reach_squared = dot(away, away), reach * reach
     # Agents that overlap must part within the time step: that is the horizon then, and the disc alone counts.
     overlap = squared <= reach_squared
@@ -82,6 +108,6 @@ def agent_half_planes(agents, others, time_step, neighbor_distance, time_horizon
     w *= 1 / length
     way_out = choose(on_disc, (reach * rate - length) * w, dot(velocity, leg) * leg - velocity)
     way_out *= HALF
-    way_out += agents.velocity[:, None]
     near = squared < np.float32(neighbor_distance) * np.float32(neighbor_distance)
-    return choose(near, np.concatenate([way_out, choose(on_disc, -turn_left(w), leg)]), np.float32(0))
+    direction = choose(on_disc, -turn_left(w), leg)
+    return choose(near, way_out, np.float32(0)), choose(near, direction, np.float32(0))
