@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sfmrl.geometry import limit
-from sfmrl.linear_programs import least_violations, nearest_velocities, violations
 from sfmrl.orca import orca_velocities, polygon_edges
-from sfmrl.vectors import limit_speed
+from sfmrl.orca.programs import least_violations, nearest_velocities, violations
+from sfmrl.orca.vectors import limit_speed
 
 REFERENCE = np.load(Path(__file__).parent / "data" / "orca_velocities.npz")
 SCENE = ("position", "velocity", "preferred_velocity", "radius", "max_speed", "polygons")
