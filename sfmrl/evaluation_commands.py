@@ -91,10 +91,10 @@ def compare_command(
 
     Total rewards are those of the first one's reward, and the environment its test mix, unless they are given.
     """
-    from sfmrl.comparison import compare, comparison_rows, comparison_sheets
     from sfmrl.evaluation import evaluation_record
     from sfmrl.progress import show_progress
     from sfmrl.scenes import label
+    from sfmrl.study.compare import compare, comparison_rows, comparison_sheets
 
     if len(policies) < 2 or len(set(policies)) < len(policies):
         raise ConfigError(f"compare takes two or more different policies; it got {', '.join(policies)}")
@@ -131,7 +131,7 @@ def models(
 ) -> None:
     """List the trained networks that come with sfmrl, one for each row of the paper's tables."""
     from sfmrl.models import model_card, model_names
-    from sfmrl.reports import card_lines, model_sheet
+    from sfmrl.study.sheets import card_lines, model_sheet
 
     names = model_names()
     if name is not None and name not in names:

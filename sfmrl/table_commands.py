@@ -10,7 +10,7 @@ from sfmrl.config import ConfigError
 from sfmrl.console import err, new_file, out, print_sheet, say, say_result
 from sfmrl.files import csv_text, write_text
 from sfmrl.options import Overwrite, number_option, option
-from sfmrl.tables import TABLES, make_jobs, parse_rows, parse_seeds
+from sfmrl.study.tables import TABLES, make_jobs, parse_rows, parse_seeds
 from sfmrl.variants import make_config
 
 app = typer.Typer()
@@ -43,8 +43,8 @@ def table(
 
     Give the same command again to go on after a stop; finished trainings are kept.
     """
-    from sfmrl.findings import contrasts, figures, summarise
-    from sfmrl.reports import csv_rows, sheets
+    from sfmrl.study.sheets import csv_rows, sheets
+    from sfmrl.study.statistics import contrasts, figures, summarise
 
     chosen, numbers = parse_rows(number, rows), parse_seeds(seeds)
     make_config(preset)  # which raises where there is none of that name
@@ -92,8 +92,8 @@ def figure(
     """Draw validation success over the trainings of a table: mean over seeds, and its 95 % interval shaded."""
     from rich.text import Text
 
-    from sfmrl.curves import curve_rows, draw_curves
     from sfmrl.replay import Frame, to_svg
+    from sfmrl.study.curves import curve_rows, draw_curves
 
     make_config(preset)
     for flag, path in (("csv", csv), ("svg", svg)):
@@ -110,11 +110,11 @@ def figure(
 
 def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:
     """Run what is not finished yet; raises Interrupted, or exits with 1 where some failed."""
-    from sfmrl.campaign import Failed, run_jobs
-    from sfmrl.cluster import put_right, run_on_ray
     from sfmrl.lookahead import available_cores
     from sfmrl.progress import show_progress
     from sfmrl.stopping import Interrupted, StopSignal
+    from sfmrl.study.cluster import put_right, run_on_ray
+    from sfmrl.study.jobs import Failed, run_jobs
 
     with StopSignal(say) as stop:
         try:
@@ -133,7 +133,7 @@ def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:
 
 def _read(folder: Path, number: int, preset: str, rows: list[str], seeds: list[int]) -> dict[str, Any]:
     """The finished runs of every row that has some; raises ConfigError where none has."""
-    from sfmrl.results import read_row
+    from sfmrl.study.results import read_row
 
     found = {row: read_row(folder, number, preset, row, seeds) for row in rows}
     found = {row: tested for row, tested in found.items() if tested}

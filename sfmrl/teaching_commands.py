@@ -39,8 +39,8 @@ def explain(
 ) -> None:
     """Take an episode apart: each step's reward by term, and what the paper's rewards would have paid."""
     from sfmrl.episodes import play_episodes
-    from sfmrl.explanation import chosen_steps, explain_episode
-    from sfmrl.explanation_tables import print_explanation
+    from sfmrl.lessons.explain import chosen_steps, explain_episode
+    from sfmrl.lessons.tables import print_explanation
     from sfmrl.scenes import sample_scenes
 
     new_file(csv, "csv", overwrite)
@@ -87,8 +87,8 @@ def verify(
     the weights do what the test's table says cannot, but who trained them, and how, is not checked. A reward of the
     run's own is Python code, and is run only with --trust-reward: read it first.
     """
+    from sfmrl.lessons.verify import verify as findings_of
     from sfmrl.progress import show_progress
-    from sfmrl.verification import verify as findings_of
 
     found = []
     how = (episodes, tolerance, use_threads(threads), show_progress(err))
@@ -111,7 +111,7 @@ def doctor() -> None:
 
     Exit code 0 if all is well, else 1.
     """
-    from sfmrl.doctor import examine
+    from sfmrl.lessons.doctor import examine
 
     ill = []
     for check in examine(out):

@@ -18,9 +18,9 @@ from sfmrl.lookahead import RememberingPolicy, available_cores
 from sfmrl.models import FOLDER
 from sfmrl.policies import WEIGHTS
 from sfmrl.recovery import with_recovery
-from sfmrl.results import Trained, read_row
 from sfmrl.runs import open_run
-from sfmrl.tables import TABLES, make_jobs, parse_seeds, run_folder
+from sfmrl.study.results import Trained, read_row
+from sfmrl.study.tables import TABLES, make_jobs, parse_seeds, run_folder
 from sfmrl.weights import load_weights, save_weights
 
 PRESET = "quick"

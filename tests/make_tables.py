@@ -10,12 +10,12 @@ from types import SimpleNamespace
 import numpy as np
 from rich.text import Text
 
-from sfmrl.curves import curve_rows, draw_curves
 from sfmrl.files import csv_text
-from sfmrl.findings import Figures, contrasts, summarise
 from sfmrl.replay import Frame, to_svg
-from sfmrl.reports import csv_rows, sheets
-from sfmrl.tables import TABLES
+from sfmrl.study.curves import curve_rows, draw_curves
+from sfmrl.study.sheets import csv_rows, sheets
+from sfmrl.study.statistics import Figures, contrasts, summarise
+from sfmrl.study.tables import TABLES
 
 FOLDER = Path(__file__).parents[1] / "tutorials" / "results"
 

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 from conftest import environment
 
-from sfmrl.campaign import Failed, run_jobs
-from sfmrl.cluster import pack, unpack
 from sfmrl.folders import WEIGHTS, finished
 from sfmrl.stopping import Interrupted, StopSignal
-from sfmrl.tables import Job
+from sfmrl.study.cluster import pack, unpack
+from sfmrl.study.jobs import Failed, run_jobs
+from sfmrl.study.tables import Job
 
 TINY_IL = ("--episodes", "12", "--epochs", "1", "--threads", "1")
 TINY_RL = ("--episodes", "16", "--validation-episodes", "4", "--test-episodes", "4", "--no-recover", "--threads", "1")
@@ -155,7 +155,7 @@ def test_a_cluster_of_two_workers_loses_one_in_the_middle(tmp_path):
     import ray
     from ray.cluster_utils import Cluster
 
-    from sfmrl.cluster import run_on_ray
+    from sfmrl.study.cluster import run_on_ray
 
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
     try:

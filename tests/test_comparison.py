@@ -6,10 +6,10 @@ import json
 import pytest
 import scipy.stats
 
-from sfmrl.comparison import compare, comparison_rows, comparison_sheets
 from sfmrl.config import ConfigError
 from sfmrl.evaluation import evaluation_record
 from sfmrl.policies import POLICIES
+from sfmrl.study.compare import compare, comparison_rows, comparison_sheets
 
 NAMES = ["orca", "linear", "sfm"]
 

@@ -9,7 +9,8 @@ import torch
 from rich.console import Console
 
 import sfmrl as package
-from sfmrl import bits, doctor, episodes, teaching_commands
+from sfmrl import bits, episodes, teaching_commands
+from sfmrl.lessons import doctor
 
 
 def looked_at(**how) -> dict[str, doctor.Check]:

@@ -10,7 +10,7 @@ import pytest
 
 from sfmrl.config import Config, ConfigError, Reward
 from sfmrl.episodes import play_episodes
-from sfmrl.explanation import REWARDS, chosen_steps, explain_episode, mark
+from sfmrl.lessons.explain import REWARDS, chosen_steps, explain_episode, mark
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import orca_policy

@@ -15,20 +15,20 @@ import numpy as np
 import pytest
 
 from sfmrl.cli import main
-from sfmrl.cluster import pack, put_right, unpack
 from sfmrl.config import Config, ConfigError
 from sfmrl.demonstrations import load_demonstrations
 from sfmrl.files import SUMS, DamagedFile, read_sums, write_atomically
 from sfmrl.folders import DEMONSTRATIONS, LOCK, TABLES, kind_of
+from sfmrl.lessons.verify import verify
 from sfmrl.policies import load_policy
 from sfmrl.progress import no_progress
-from sfmrl.results import read_row
 from sfmrl.runs import create_run, open_run
 from sfmrl.stopping import StopSignal
-from sfmrl.tables import run_folder
+from sfmrl.study.cluster import pack, put_right, unpack
+from sfmrl.study.results import read_row
+from sfmrl.study.tables import run_folder
 from sfmrl.training import run_imitation
 from sfmrl.variants import make_config
-from sfmrl.verification import verify
 
 resource = pytest.importorskip("resource")  # where there is none, there is no os.fork, either
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs os.fork")

@@ -13,7 +13,7 @@ from sfmrl.files import DamagedFile
 from sfmrl.intervals import wilson
 from sfmrl.models import model_card, model_names, model_weights
 from sfmrl.policies import load_policy
-from sfmrl.tables import TABLES
+from sfmrl.study.tables import TABLES
 from sfmrl.variants import make_config, variant_name
 from sfmrl.weights import load_weights
 

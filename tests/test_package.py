@@ -18,7 +18,16 @@ import sfmrl
 
 # The house from the ground up: a file imports only from those before it.
 LEVELS = (
-    ("files", "config", "variants", "folders", "geometry", "progress", "stopping", "intervals"),
+    (
+        "files",
+        "config",
+        "variants",
+        "folders",
+        "geometry",
+        "progress",
+        "stopping",
+        "intervals",
+    ),
     (
         "orca.vectors",
         "orca.programs",
@@ -63,7 +72,16 @@ LEVELS = (
         "demonstrations",
         "training",
     ),
-    ("tables", "results", "findings", "reports", "comparison", "campaign", "cluster"),
+    (
+        "study",
+        "study.tables",
+        "study.results",
+        "study.statistics",
+        "study.sheets",
+        "study.compare",
+        "study.jobs",
+        "study.cluster",
+    ),
     (
         "replay.story",
         "replay.canvas",
@@ -74,14 +92,20 @@ LEVELS = (
         "replay.screen",
         "replay.recordings",
         "replay",
-        "curves",
+        "study.curves",
     ),
-    ("explanation", "run_replay", "verification", "doctor"),
+    (
+        "lessons",
+        "lessons.explain",
+        "lessons.run_replay",
+        "lessons.verify",
+        "lessons.doctor",
+    ),
     (
         "completion",
         "options",
         "console",
-        "explanation_tables",
+        "lessons.tables",
         "greeting",
         "session",
         "training_commands",
@@ -122,7 +146,8 @@ def imports(path: Path, top_only: bool = False) -> set[str]:
 
 def test_the_package_is_nearly_flat_and_every_file_has_its_place():
     folders = {path.name for path in (ROOT / "sfmrl").iterdir() if path.is_dir()}
-    assert folders - {"__pycache__"} == {"models", "fast", "maps", "orca", "replay"}  # models: no code
+    # models: trained networks and their cards, no code
+    assert folders - {"__pycache__"} == {"models", "fast", "maps", "orca", "replay", "study", "lessons"}
     assert {path.suffix for path in MODELS} == {".json", ".npz"}
     assert set(map(name_of, FILES)) == set(ORDER)
     assert len(ORDER) == len(set(ORDER))

@@ -12,14 +12,14 @@ import pytest
 import scipy.stats
 
 from sfmrl.config import ConfigError
-from sfmrl.curves import curve_rows, draw_curves
 from sfmrl.files import csv_text
-from sfmrl.findings import contrasts, figures, summarise
 from sfmrl.intervals import mean_interval, wilson
-from sfmrl.reports import csv_rows, rate, sheets
-from sfmrl.results import Trained, read_row
 from sfmrl.scenes import sample_scenes
-from sfmrl.tables import TABLES, make_jobs, parse_rows, parse_seeds, run_folder
+from sfmrl.study.curves import curve_rows, draw_curves
+from sfmrl.study.results import Trained, read_row
+from sfmrl.study.sheets import csv_rows, rate, sheets
+from sfmrl.study.statistics import contrasts, figures, summarise
+from sfmrl.study.tables import TABLES, make_jobs, parse_rows, parse_seeds, run_folder
 
 EPISODES = np.array([0, 250, 500, 1000])
 

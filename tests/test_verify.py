@@ -15,14 +15,14 @@ import pytest
 from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import RATES
 from sfmrl.files import csv_text, remove_checked, unlist
+from sfmrl.lessons.run_replay import Disagreement, Replay
+from sfmrl.lessons.verify import Finding, verify
 from sfmrl.network import ValueNetwork
 from sfmrl.progress import no_progress
-from sfmrl.run_replay import Disagreement, Replay
 from sfmrl.runs import create_run
 from sfmrl.stopping import StopSignal
 from sfmrl.training import run_imitation, run_reinforcement, start_run
 from sfmrl.variants import make_config
-from sfmrl.verification import Finding, verify
 from sfmrl.weights import load_weights, save_weights
 
 

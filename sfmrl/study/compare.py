@@ -10,7 +10,7 @@ from sfmrl.episodes import Record
 from sfmrl.evaluation import RATES, episode_rows, metrics
 from sfmrl.intervals import episode_difference, holm, success_difference
 from sfmrl.lookahead import Policy
-from sfmrl.reports import Sheet, estimate, p_value, rate, seconds
+from sfmrl.study.sheets import Sheet, estimate, p_value, rate, seconds
 
 LISTED = 20  # differing episodes that the terminal shows; JSON has all
 

@@ -8,7 +8,7 @@ from rich.text import Text
 from sfmrl.config import counted
 from sfmrl.intervals import mean_interval
 from sfmrl.replay.canvas import Canvas, View, fitted
-from sfmrl.results import Trained
+from sfmrl.study.results import Trained
 
 LINE, BAND = "bold cyan", "grey50"
 AXIS = 5  # columns before a panel's plot

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from sfmrl.findings import CONTRASTED
+from sfmrl.study.statistics import CONTRASTED
 
 PAPERS = ("success", "navigation_time", "total_reward")  # metrics that the paper reports under the same name
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from sfmrl.intervals import holm, mean_difference, mean_interval, next_run, wilson
-from sfmrl.results import Trained
-from sfmrl.tables import Table
+from sfmrl.study.results import Trained
+from sfmrl.study.tables import Table
 
 TIME_CHARGED = 25.0  # s, what a time-out costs in the navigation time that counts them
 SEEDS_NEEDED = 5  # for a verdict on the paper

@@ -13,12 +13,12 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from sfmrl.campaign import report, without_blocked
 from sfmrl.config import ConfigError
 from sfmrl.folders import finished
 from sfmrl.progress import Progress
 from sfmrl.stopping import Interrupted, StopSignal
-from sfmrl.tables import Job
+from sfmrl.study.jobs import report, without_blocked
+from sfmrl.study.tables import Job
 
 
 def run_on_ray(jobs: list[Job], progress: Progress, stop: StopSignal, say: Callable) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from sfmrl.config import ConfigError
 from sfmrl.files import json_object, read_listed, read_table
 from sfmrl.folders import finished
-from sfmrl.tables import run_folder
+from sfmrl.study.tables import run_folder
 
 EARLY = 0.25  # the first part of a training that its early course is taken from
 REACHED = 0.9  # validation success

@@ -16,7 +16,7 @@ from sfmrl.files import read_regular, regular
 from sfmrl.folders import finished
 from sfmrl.progress import Progress
 from sfmrl.stopping import Interrupted, StopSignal
-from sfmrl.tables import Job
+from sfmrl.study.tables import Job
 
 LOOK_EVERY = 0.5  # seconds
 

@@ -11,9 +11,9 @@ from typing import Any
 from sfmrl.config import ConfigError
 from sfmrl.files import SUMS, DamagedFile, digest_of, read_regular, read_sums
 from sfmrl.folders import BEST, DEMONSTRATIONS, MAP, TABLES, WEIGHTS, unfinished
+from sfmrl.lessons.run_replay import Disagreement, Replay, result, result_of
 from sfmrl.own_code import UntrustedReward, reward_digest, trusted
 from sfmrl.progress import Progress
-from sfmrl.run_replay import Disagreement, Replay, result, result_of
 from sfmrl.runs import CHECKPOINT, Run, open_run, versions
 from sfmrl.scenes import DRAWN
 from sfmrl.weights import load_weights

@@ -7,7 +7,7 @@ from rich.text import Text
 
 from sfmrl.config import counted
 from sfmrl.console import WIDTH, out, plain_table, print_table, say_result
-from sfmrl.explanation import Explanation, mark
+from sfmrl.lessons.explain import Explanation, mark
 
 MANY_DIGITS, FEW_DIGITS = 5, 4  # decimals of rewards, where there is room and where there is not
 HEADS = {

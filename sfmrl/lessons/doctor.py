@@ -33,7 +33,7 @@ class Check:
 
 def examine(console: Console) -> Iterator[Check]:
     """All checks; `console` is the one that results are printed on."""
-    yield Check("sfmrl", None, f"{__version__}, in {Path(__file__).parent}")
+    yield Check("sfmrl", None, f"{__version__}, in {Path(__file__).parents[1]}")
     right = sys.version_info >= LEAST_PYTHON
     yield Check("Python", right, platform.python_version(), f"install Python {'.'.join(map(str, LEAST_PYTHON))}")
     for name in ("numpy", "torch", "typer", "rich"):
