@@ -138,11 +138,8 @@ def plain_table(*headings: str, first: str = "left") -> Table:
 
 def print_sheet(sheet: Any) -> None:
     """A `reports.Sheet` as a table under its title, and an empty line."""
-    table = plain_table(*sheet.headings)
-    for row in sheet.rows:
-        table.add_row(*map(Text, row))
     out.print(Text(sheet.title, "italic"))
-    print_table(table)
+    print_table(sheet.table())
     out.print()
 
 

@@ -10,7 +10,6 @@ from sfmrl.config import ConfigError
 from sfmrl.console import err, new_file, out, print_sheet, say, say_result
 from sfmrl.files import csv_text, write_text
 from sfmrl.options import Overwrite, number_option, option
-from sfmrl.study.tables import TABLES, make_jobs, parse_rows, parse_seeds
 from sfmrl.variants import make_config
 
 app = typer.Typer()
@@ -43,36 +42,45 @@ def table(
 
     Give the same command again to go on after a stop; finished trainings are kept.
     """
-    from sfmrl.study.sheets import csv_rows, sheets
-    from sfmrl.study.statistics import contrasts, figures, summarise
+    from sfmrl.study.tables import figures, make_jobs, parse_rows, parse_seeds
 
     chosen, numbers = parse_rows(number, rows), parse_seeds(seeds)
-    make_config(preset)  # which raises where there is none of that name
+    make_config(preset)  # raises ConfigError on a preset that is not there
     if on not in ("here", "ray"):
         raise ConfigError(f"--on {on}: choose here or ray")
-    for flag, path in (("csv", csv), ("markdown", markdown)):
-        new_file(path, flag, overwrite)
+    new_file(csv, "csv", overwrite)
+    new_file(markdown, "markdown", overwrite)
     trainings = make_jobs(number, preset, numbers, chosen, folder)
     if print_jobs:
-        for job in trainings:
-            say_result(job.command)
+        say_result("\n".join(job.command for job in trainings))
         return
     if not no_train:
         _train(trainings, on, jobs)
-    found = _read(folder, number, preset, chosen, numbers)
-    missing = len(chosen) * len(numbers) - sum(len(tested.seeds) for tested in found.values())
-    if missing:
-        say(f"{missing} of {len(chosen) * len(numbers)} trainings are not finished, and left out")
-    by_row = {row: figures(tested) for row, tested in found.items()}
-    findings, changes = summarise(TABLES[number], by_row), contrasts(by_row) if number == 1 else []
-    pages = sheets(findings, changes, f"Table {number}, {preset} preset, {TABLES[number].test_episodes} test episodes")
+    runs = _read(folder, number, preset, chosen, numbers)
+    wanted, finished = len(chosen) * len(numbers), sum(len(trained.seeds) for trained in runs.values())
+    if finished < wanted:
+        say(f"{wanted - finished} of {wanted} trainings are not finished, and left out")
+    _report(number, preset, {row: figures(trained) for row, trained in runs.items()}, as_json, csv, markdown)
+
+
+def _report(
+    number: int, preset: str, rows: dict[str, Any], as_json: bool, csv: Path | None, markdown: Path | None
+) -> None:
+    """Print the statistics of a table's rows, and write them to files."""
+    from sfmrl.study.sheets import csv_rows, sheets
+    from sfmrl.study.statistics import contrasts, summarise
+    from sfmrl.study.tables import TABLES
+
+    table = TABLES[number]
+    summary, effects = summarise(table, rows), contrasts(rows) if number == 1 else []
+    pages = sheets(summary, effects, f"Table {number}, {preset} preset, {table.test_episodes} test episodes")
     if csv:
-        write_text(csv, csv_text(csv_rows(findings, changes)))
+        write_text(csv, csv_text(csv_rows(summary, effects)))
     if markdown:
         write_text(markdown, "\n".join(page.markdown() for page in pages))
     if as_json:
-        what = {"table": number, "preset": preset, "environment": TABLES[number].environment}
-        say_result(json.dumps(what | {"rows": findings, "contrasts": changes}, indent=2))
+        what = {"table": number, "preset": preset, "environment": table.environment}
+        say_result(json.dumps(what | {"rows": summary, "contrasts": effects}, indent=2))
         return
     for page in pages:
         print_sheet(page)
@@ -94,10 +102,11 @@ def figure(
 
     from sfmrl.replay import Frame, to_svg
     from sfmrl.study.curves import curve_rows, draw_curves
+    from sfmrl.study.tables import parse_rows, parse_seeds
 
     make_config(preset)
-    for flag, path in (("csv", csv), ("svg", svg)):
-        new_file(path, flag, overwrite)
+    new_file(csv, "csv", overwrite)
+    new_file(svg, "svg", overwrite)
     lines = curve_rows(_read(folder, number, preset, parse_rows(number, rows), parse_seeds(seeds)))
     if csv:
         write_text(csv, csv_text(lines))
@@ -113,17 +122,12 @@ def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:
     from sfmrl.lookahead import available_cores
     from sfmrl.progress import show_progress
     from sfmrl.stopping import Interrupted, StopSignal
-    from sfmrl.study.cluster import put_right, run_on_ray
-    from sfmrl.study.jobs import Failed, run_jobs
+    from sfmrl.study.jobs import Failed, Processes, RayWorkers, run_jobs
 
     with StopSignal(say) as stop:
         try:
-            for job in trainings:
-                put_right(job.folder)
-            if on == "ray":
-                run_on_ray(trainings, show_progress(err), stop, say)
-            else:
-                run_jobs(trainings, side_by_side or available_cores(), show_progress(err), stop, say)
+            workers = RayWorkers() if on == "ray" else Processes(side_by_side or available_cores())
+            run_jobs(trainings, workers, show_progress(err), stop, say)
         except (Interrupted, KeyboardInterrupt):
             raise Interrupted("go on with the same command") from None
         except Failed as error:
@@ -133,13 +137,12 @@ def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:
 
 def _read(folder: Path, number: int, preset: str, rows: list[str], seeds: list[int]) -> dict[str, Any]:
     """The finished runs of every row that has some; raises ConfigError where none has."""
-    from sfmrl.study.results import read_row
+    from sfmrl.study.tables import read_row
 
-    found = {row: read_row(folder, number, preset, row, seeds) for row in rows}
-    found = {row: tested for row, tested in found.items() if tested}
-    if not found:
+    runs = {row: read_row(folder, number, preset, row, seeds) for row in rows}
+    if not any(runs.values()):
         raise ConfigError(
             f"{folder} holds no finished run of table {number}, {preset} preset; "
             f"type sfmrl table {number} --preset {preset}, or name another --folder"
         )
-    return found
+    return {row: trained for row, trained in runs.items() if trained}

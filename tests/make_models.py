@@ -19,8 +19,7 @@ from sfmrl.models import FOLDER
 from sfmrl.policies import WEIGHTS
 from sfmrl.recovery import with_recovery
 from sfmrl.runs import open_run
-from sfmrl.study.results import Trained, read_row
-from sfmrl.study.tables import TABLES, make_jobs, parse_seeds, run_folder
+from sfmrl.study.tables import TABLES, Trained, make_jobs, parse_seeds, read_row, run_folder
 from sfmrl.weights import load_weights, save_weights
 
 PRESET = "quick"

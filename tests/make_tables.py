@@ -14,8 +14,8 @@ from sfmrl.files import csv_text
 from sfmrl.replay import Frame, to_svg
 from sfmrl.study.curves import curve_rows, draw_curves
 from sfmrl.study.sheets import csv_rows, sheets
-from sfmrl.study.statistics import Figures, contrasts, summarise
-from sfmrl.study.tables import TABLES
+from sfmrl.study.statistics import contrasts, summarise
+from sfmrl.study.tables import TABLES, Figures
 
 FOLDER = Path(__file__).parents[1] / "tutorials" / "results"
 

@@ -74,13 +74,11 @@ LEVELS = (
     ),
     (
         "study",
+        "study.jobs",
         "study.tables",
-        "study.results",
         "study.statistics",
         "study.sheets",
         "study.compare",
-        "study.jobs",
-        "study.cluster",
     ),
     (
         "replay.story",
@@ -164,7 +162,7 @@ def test_only_few_files_import_torch_and_none_click(path):
     outer = {name.partition(".")[0] for name in imports(path, top_only=True)}
     assert ("torch" in outer) == (name_of(path) in WITH_TORCH)
     allowed = set(sys.stdlib_module_names) | {"sfmrl", "numpy", "torch", "typer", "rich"}
-    allowed |= {"ray"} if path.stem == "cluster" else set()  # an extra, which only those need who ask for it
+    allowed |= {"ray"} if path.stem == "jobs" else set()  # an extra, which only those need who ask for it
     assert {name.partition(".")[0] for name in imports(path)} <= allowed
 
 

@@ -8,11 +8,12 @@ import numpy as np
 from sfmrl.config import ConfigError, counted
 from sfmrl.episodes import Record
 from sfmrl.evaluation import RATES, episode_rows, metrics
-from sfmrl.intervals import episode_difference, holm, success_difference
 from sfmrl.lookahead import Policy
-from sfmrl.study.sheets import Sheet, estimate, p_value, rate, seconds
+from sfmrl.study.sheets import Sheet, estimate, make_sheet, p_value, rate, seconds
+from sfmrl.study.statistics import holm, mean_difference, success_difference
 
 LISTED = 20  # differing episodes that the terminal shows; JSON has all
+EXACT_BELOW = 25  # shared successes; times are multiples of the time step, and with fewer a t-test is too sure
 
 
 def compare(records: Sequence[Record], policies: Sequence[Policy], names: Sequence[str]) -> dict[str, Any]:
@@ -28,18 +29,18 @@ def compare(records: Sequence[Record], policies: Sequence[Policy], names: Sequen
     for record in records:
         if not np.array_equal(record.scenes.start, first.scenes.start, equal_nan=True):
             raise ConfigError("policies can only be compared on the same episodes")
-    found = []
+    rows = []
     for record, policy, name in zip(records, policies, names, strict=True):
-        whole = metrics(record, policy)
-        kept = ("episodes", *RATES, "intervals", "navigation_time", "total_reward", "recovered")
-        found.append({"policy": name} | {key: whole[key] for key in kept if key in whole})
-    for row, record in zip(found[1:], records[1:], strict=True):
+        measured = metrics(record, policy)
+        compared = ("episodes", *RATES, "intervals", "navigation_time", "total_reward", "recovered")
+        rows.append({"policy": name} | {key: measured[key] for key in compared if key in measured})
+    for row, record in zip(rows[1:], records[1:], strict=True):
         row["less_first"] = _difference(record, first)
     for metric in ("success", "navigation_time"):
-        gaps = [row["less_first"][metric] for row in found[1:] if row["less_first"][metric]]
+        gaps = [row["less_first"][metric] for row in rows[1:] if row["less_first"][metric]]
         for gap, p in zip(gaps, holm(np.array([gap["p"] for gap in gaps])), strict=True):
             gap["p_holm"] = float(p)
-    return {"policies": found, "differing": _differing(records, names)}
+    return {"policies": rows, "differing": _differing(records, names)}
 
 
 def _difference(record: Record, first: Record) -> dict[str, Any]:
@@ -47,9 +48,10 @@ def _difference(record: Record, first: Record) -> dict[str, Any]:
     ours, theirs = (r.outcome == "success" for r in (record, first))
     both = ours & theirs
     only_this, only_first = int((ours & ~theirs).sum()), int((theirs & ~ours).sum())
+    times = mean_difference((record.time - first.time)[both], EXACT_BELOW) if both.any() else None
     return {
         "success": vars(success_difference(only_this, only_first, len(ours))),
-        "navigation_time": vars(episode_difference((record.time - first.time)[both])) if both.any() else None,
+        "navigation_time": times and vars(times),
         "only_this": only_this,
         "only_first": only_first,
     }
@@ -58,7 +60,6 @@ def _difference(record: Record, first: Record) -> dict[str, Any]:
 def _differing(records: Sequence[Record], names: Sequence[str]) -> list[dict[str, Any]]:
     """List the episodes in which some policies succeed and some fail, with every policy's outcome."""
     success = np.array([record.outcome == "success" for record in records])
-    where = np.flatnonzero(success.any(axis=0) & ~success.all(axis=0))
     scenes = records[0].scenes
     return [
         {
@@ -66,7 +67,7 @@ def _differing(records: Sequence[Record], names: Sequence[str]) -> list[dict[str
             "environment": str(scenes.environment[e]),
             "outcomes": {name: str(record.outcome[e]) for name, record in zip(names, records, strict=True)},
         }
-        for e in where
+        for e in np.flatnonzero(success.any(axis=0) & ~success.all(axis=0))
     ]
 
 
@@ -75,37 +76,41 @@ def comparison_rows(records: Sequence[Record], names: Sequence[str]) -> list[dic
     return [{"policy": n} | row for n, record in zip(names, records, strict=True) for row in episode_rows(record)]
 
 
-def comparison_sheets(found: dict[str, Any], title: str) -> list[Sheet]:
+def comparison_sheets(comparison: dict[str, Any], title: str) -> list[Sheet]:
     """Return the result of `compare` as sheets for the terminal."""
-    first, *others = found["policies"]
-    rates = []
-    for row in found["policies"]:
-        low, high = row["intervals"]["success"]
-        numbers = f"{rate(row['success'])} {rate(low)}-{rate(high)}", rate(row["collision"]), rate(row["timeout"])
-        rates.append((row["policy"], *numbers, seconds(row["navigation_time"]), f"{row['total_reward']:.4f}"))
-    gaps = []
-    for row in others:
-        gap = row["less_first"]
-        success = estimate(gap["success"]), p_value(gap["success"]["p_holm"])
-        counts = str(gap["only_this"]), str(gap["only_first"])
-        gaps.append((row["policy"], *success, *counts, estimate(gap["navigation_time"], seconds)))
-    names = [row["policy"] for row in found["policies"]]
-    lines = [(str(d["episode"]), d["environment"], *d["outcomes"].values()) for d in found["differing"]]
-    heads = (
-        "policy",
-        "success less\nthe first's",
-        "p (Holm)",
-        "only\nthis",
-        "only\nfirst",
-        "nav. time less\nthe first's",
-    )
+    rows, differing = comparison["policies"], comparison["differing"]
     sheets = [
-        Sheet(title, ("policy", "success", "collision", "time-out", "nav.\ntime", "total\nreward"), rates),
-        Sheet(f"Differences from {first['policy']}, with 95 % intervals over episodes", heads, gaps),
+        make_sheet(title, [_rates(row) for row in rows]),
+        make_sheet(
+            f"Differences from {rows[0]['policy']}, with 95 % intervals over episodes",
+            [_gaps(row["policy"], row["less_first"]) for row in rows[1:]],
+        ),
     ]
-    if lines:
-        count = counted(len(lines), "episode") + (f", the first {LISTED}" if len(lines) > LISTED else "")
-        sheets.append(
-            Sheet(f"Where some succeed and some do not: {count}", ("episode", "env.", *names), lines[:LISTED])
-        )
+    if differing:
+        count = counted(len(differing), "episode") + (f", the first {LISTED}" if len(differing) > LISTED else "")
+        lines = [{"episode": str(d["episode"]), "env.": d["environment"], **d["outcomes"]} for d in differing[:LISTED]]
+        sheets.append(make_sheet(f"Where some succeed and some do not: {count}", lines))
     return sheets
+
+
+def _rates(row: dict[str, Any]) -> dict[str, str]:
+    low, high = row["intervals"]["success"]
+    return {
+        "policy": row["policy"],
+        "success": f"{rate(row['success'])} {rate(low)}-{rate(high)}",
+        "collision": rate(row["collision"]),
+        "time-out": rate(row["timeout"]),
+        "nav.\ntime": seconds(row["navigation_time"]),
+        "total\nreward": f"{row['total_reward']:.4f}",
+    }
+
+
+def _gaps(policy: str, gap: dict[str, Any]) -> dict[str, str]:
+    return {
+        "policy": policy,
+        "success less\nthe first's": estimate(gap["success"]),
+        "p (Holm)": p_value(gap["success"]["p_holm"]),
+        "only\nthis": str(gap["only_this"]),
+        "only\nfirst": str(gap["only_first"]),
+        "nav. time less\nthe first's": estimate(gap["navigation_time"], seconds),
+    }

@@ -6,9 +6,9 @@ import numpy as np
 from rich.text import Text
 
 from sfmrl.config import counted
-from sfmrl.intervals import mean_interval
 from sfmrl.replay.canvas import Canvas, View, fitted
-from sfmrl.study.results import Trained
+from sfmrl.study.statistics import mean_interval
+from sfmrl.study.tables import Trained
 
 LINE, BAND = "bold cyan", "grey50"
 AXIS = 5  # columns before a panel's plot

@@ -1,117 +1,235 @@
-"""Many trainings on this machine: as processes side by side, each a plain command that can be given again.
+"""Many trainings: processes side by side on this machine, or on a Ray cluster, each a command that can be given again.
 
-What is finished is never repeated, and what was killed goes on from its checkpoint. Each writes what it says to a file
-of its own under logs/ beside its run folder.
+A finished training is never repeated, and a killed one goes on from its checkpoint. Here, each writes its messages to
+a file of its own under logs/ beside its run folder. On a cluster (the extra "ray"), run folders travel to the worker
+and back: a worker needs sfmrl and no common file system. What a lost worker was training is trained again elsewhere,
+to the same bits where that machine computes the same (`sfmrl doctor` shows a digest).
 """
 
+import io
+import shlex
+import shutil
 import subprocess
 import sys
+import tarfile
+import tempfile
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
-from sfmrl.config import counted
+from sfmrl.config import ConfigError, counted
 from sfmrl.files import read_regular, regular
 from sfmrl.folders import finished
 from sfmrl.progress import Progress
 from sfmrl.stopping import Interrupted, StopSignal
-from sfmrl.study.tables import Job
 
-LOOK_EVERY = 0.5  # seconds
+POLL_INTERVAL = 0.5  # s
 
 
 class Failed(Exception):
-    """Some trainings did not come to their end."""
+    """Some trainings failed; its text names them."""
 
 
-def run_jobs(jobs: list[Job], side_by_side: int, progress: Progress, stop: StopSignal, say: Callable) -> None:
-    """Run the jobs that are not finished, `side_by_side` at a time, each after what it needs.
+@dataclass(frozen=True)
+class Job:
+    """A training as one plain command: `words` follow "sfmrl". Given again, it goes on where it was stopped."""
 
-    Raises Interrupted once `stop` has been requested and all have kept what they need to go on; Failed, naming them,
-    where some failed: all that do not need these are run nevertheless.
+    name: str
+    words: tuple[str, ...]
+    folder: Path  # the run folder that it makes
+    needs: Path | None  # the run folder that has to be finished before
+    episodes: int  # of reinforcement
+
+    @property
+    def command(self) -> str:
+        """What to type."""
+        return shlex.join(["sfmrl", *self.words])
+
+    @property
+    def finished(self) -> bool:
+        """Whether nothing is left to do."""
+        return finished(self.folder)
+
+
+def run_jobs(
+    jobs: list[Job], workers: "Processes | RayWorkers", progress: Progress, stop: StopSignal, say: Callable
+) -> None:
+    """Run the jobs that are not finished on `workers`, each after the job that it needs.
+
+    Raises Interrupted once `stop` has been requested and the jobs have stopped. Raises Failed, naming them, when some
+    jobs failed; all jobs that do not need these are run nevertheless.
     """
-    waiting = [job for job in jobs if not job.finished]
-    running: dict[Job, subprocess.Popen] = {}
-    failed: list[Job] = []
-    before = sum(map(_played, waiting))
-    told_of = before
-    with progress("trainings", sum(job.episodes for job in waiting) - before) as told:
+    unfinished = [job for job in jobs if not job.finished]
+    waiting, running, failed = list(unfinished), 0, []
+    shown = sum(map(_episodes_played, unfinished))
+    with progress("trainings", sum(job.episodes for job in unfinished) - shown) as tell:
         try:
-            while running or waiting:
-                for job, process in list(running.items()):
-                    if process.poll() is None:
-                        continue
-                    del running[job]
+            while waiting or running:
+                for job, message in workers.ended():
+                    running -= 1
                     if not job.finished and not stop.requested:
-                        say(f"{job.name} failed: {_last_line(_log(job))} (see {_log(job)})")
+                        say(f"{job.name} failed: {message}")
                         failed.append(job)
                 if stop.requested:
-                    _wait_for(running.values())
+                    workers.stop()
                     raise Interrupted
-                waiting = without_blocked(waiting, failed)
+                lost = {job.folder for job in failed}
+                failed += [job for job in waiting if job.needs in lost]
+                waiting = [job for job in waiting if job.needs not in lost]
                 for job in [job for job in waiting if job.needs is None or finished(job.needs)]:
-                    if len(running) == side_by_side:
-                        break
-                    waiting.remove(job)
-                    running[job] = _start(job)
-                now = sum(_played(job) for job in jobs if job not in waiting)
-                told(max(0, now - told_of))
-                told_of = max(told_of, now)
-                time.sleep(LOOK_EVERY)
+                    if workers.start(job):
+                        waiting.remove(job)
+                        running += 1
+                played = sum(map(_episodes_played, unfinished))
+                tell(max(0, played - shown))
+                shown = max(shown, played)
+                time.sleep(POLL_INTERVAL)
         except BaseException:
-            for process in running.values():
-                process.kill()
+            workers.kill()
             raise
-    report(failed)
-
-
-def without_blocked(waiting: list[Job], failed: list[Job]) -> list[Job]:
-    """Those that wait for nothing that failed; the others are added to `failed`."""
-    lost = {job.folder for job in failed}
-    failed += [job for job in waiting if job.needs in lost]
-    return [job for job in waiting if job.needs not in lost]
-
-
-def report(failed: list[Job]) -> None:
-    """Raises Failed, naming them, where there are any."""
     if failed:
         raise Failed(f"{counted(len(failed), 'training')} failed: {', '.join(job.name for job in failed)}")
 
 
-def _start(job: Job) -> subprocess.Popen:
-    """Its process, which a Ctrl-C in this terminal does not reach."""
-    _log(job).parent.mkdir(parents=True, exist_ok=True)
-    with open(regular(_log(job)), "a") as log:
-        words = [sys.executable, "-m", "sfmrl", *job.words]
-        return subprocess.Popen(
-            words, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
-        )
-
-
-def _wait_for(processes: Iterable[subprocess.Popen]) -> None:
-    """Ask trainings to stop, and wait until they have kept what they need."""
-    processes = list(processes)
-    for process in processes:
-        with suppress(ProcessLookupError):
-            process.terminate()
-    for process in processes:
-        process.wait()
-
-
-def _log(job: Job) -> Path:
-    return job.folder.parent / "logs" / f"{job.name}.txt"
-
-
-def _last_line(path: Path) -> str:
-    lines = read_regular(path).decode(errors="replace").strip().splitlines() if path.exists() else []
-    return lines[-1].strip() if lines else "it said nothing"
-
-
-def _played(job: Job) -> int:
+def _episodes_played(job: Job) -> int:
     """Training episodes that a run has behind it."""
     path = job.folder / "metrics.csv"
     if not job.episodes or not path.exists():
         return 0
     with open(regular(path), "rb") as file:
         return max(0, sum(1 for _ in file) - 1)
+
+
+class Processes:
+    """Runs jobs as processes on this machine, at most `limit` at a time."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._running: dict[Job, subprocess.Popen] = {}
+
+    def start(self, job: Job) -> bool:
+        """Start a job in a session of its own, so that a Ctrl-C in this terminal does not reach it."""
+        if len(self._running) == self._limit:
+            return False
+        log = _log(job)
+        log.parent.mkdir(parents=True, exist_ok=True)
+        words = [sys.executable, "-m", "sfmrl", *job.words]
+        with open(regular(log), "a") as out:
+            process = subprocess.Popen(
+                words, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, start_new_session=True
+            )
+        self._running[job] = process
+        return True
+
+    def ended(self) -> Iterator[tuple[Job, str]]:
+        """Remove and return the jobs whose process has ended, each with the last line of its log."""
+        for job in [job for job, process in self._running.items() if process.poll() is not None]:
+            del self._running[job]
+            log = _log(job)
+            text = read_regular(log).decode(errors="replace") if log.exists() else ""
+            yield job, f"{_last_line(text)} (see {log})"
+
+    def stop(self) -> None:
+        """Ask all trainings to stop at their next checkpoint, and wait until they have."""
+        for process in self._running.values():
+            with suppress(ProcessLookupError):
+                process.terminate()
+        for process in self._running.values():
+            process.wait()
+
+    def kill(self) -> None:
+        """Kill all trainings."""
+        for process in self._running.values():
+            process.kill()
+
+
+def _log(job: Job) -> Path:
+    return job.folder.parent / "logs" / f"{job.name}.txt"
+
+
+def _last_line(text: str) -> str:
+    lines = text.strip().splitlines()
+    return lines[-1].strip() if lines else "it said nothing"
+
+
+class RayWorkers:
+    """Runs jobs on the cluster that RAY_ADDRESS names, on one that runs on this machine, or on this machine alone.
+
+    Raises ConfigError without Ray.
+    """
+
+    def __init__(self) -> None:
+        try:
+            import ray
+        except ImportError:
+            raise ConfigError("--on ray needs Ray; install it with pip install 'sfmrl[ray]'") from None
+        if not ray.is_initialized():
+            ray.init(log_to_driver=False, logging_level="error")
+        self._ray = ray
+        self._train = ray.remote(num_cpus=1, max_retries=-1)(train_away)
+        self._packed = cache(lambda folder: folder and ray.put(pack(folder)))  # sent once, whoever needs it
+        self._sent: dict[ray.ObjectRef, Job] = {}
+
+    def start(self, job: Job) -> bool:
+        """Send a job to the cluster, which queues it, with its run folder and the one that it needs."""
+        begun = pack(job.folder) if job.folder.exists() else None
+        self._sent[self._train.remote(job, begun, self._packed(job.needs))] = job
+        return True
+
+    def ended(self) -> Iterator[tuple[Job, str]]:
+        """Remove and return the jobs that have ended, each with its last message, and put their folders in place."""
+        for reference in self._ray.wait(list(self._sent), timeout=0)[0] if self._sent else ():
+            job = self._sent.pop(reference)
+            try:
+                message, archive = self._ray.get(reference)
+            except self._ray.exceptions.RayError as error:
+                message, archive = _last_line(str(error)), None
+            if archive is not None:
+                unpack(archive, job.folder)
+            yield job, message
+
+    def stop(self) -> None:
+        """Cancel all jobs; what they have trained since they were sent is lost."""
+        for reference in self._sent:
+            self._ray.cancel(reference, force=True)
+
+    kill = stop
+
+
+def train_away(job: Job, begun: bytes | None, needed: bytes | None) -> tuple[str, bytes | None]:
+    """Train on a worker, with the job's run folder and the one it needs packed, None where there is none.
+
+    Returns the training's last message, and the run folder packed, None if it failed.
+    """
+    with tempfile.TemporaryDirectory() as place:
+        here = {str(folder): Path(place) / folder.name for folder in (job.folder, job.needs) if folder}
+        for folder, archive in ((job.folder, begun), (job.needs, needed)):
+            if archive is not None:
+                unpack(archive, here[str(folder)])
+        words = [sys.executable, "-m", "sfmrl", *(str(here.get(word, word)) for word in job.words)]
+        done = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+        return _last_line(done.stderr or done.stdout), pack(here[str(job.folder)]) if done.returncode == 0 else None
+
+
+def pack(folder: Path) -> bytes:
+    """Return a folder's files as an archive."""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w") as archive:
+        archive.add(folder, arcname=".")
+    return buffer.getvalue()
+
+
+def unpack(data: bytes, folder: Path) -> None:
+    """Replace a folder by the files of an archive; a crash leaves the old folder, the new one or none, never a part."""
+    new, old = (folder.with_name(f".{folder.name}.{which}.tmp") for which in ("new", "old"))
+    for left in (new, old):  # by an unpacking that was killed
+        shutil.rmtree(left, ignore_errors=True)
+    with tarfile.open(fileobj=io.BytesIO(data)) as archive:
+        archive.extractall(new, filter="data")
+    if folder.exists():
+        folder.rename(old)
+    new.rename(folder)
+    shutil.rmtree(old, ignore_errors=True)

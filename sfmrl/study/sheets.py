@@ -1,8 +1,14 @@
-"""Present a table's findings: sheets for the terminal and for Markdown, lines for CSV."""
+"""Present results as sheets of texts, for the terminal and for Markdown, and a table's as lines for CSV."""
 
+import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
 
 from sfmrl.study.statistics import CONTRASTED
 
@@ -23,60 +29,43 @@ class Sheet:
         body = "\n".join(f"| {' | '.join(line)} |".replace("\n", " ") for line in lines)
         return f"{self.title}\n\n{body}\n"
 
-
-def sheets(found: list[dict[str, Any]], contrasts: list[dict[str, Any]], title: str) -> list[Sheet]:
-    """Return the findings as sheets of up to 80 columns: rates, seeds, training, differences from SARL, contrasts."""
-    made = [
-        Sheet(
-            f"{title}; 95 % intervals over seeds (Student's t)",
-            (
-                "row",
-                "paper",
-                "success",
-                "people +\nsquares",
-                "time-out",
-                "nav.\ntime",
-                "total\nreward",
-                "the paper\nis",
-            ),
-            [_rates(row) for row in found],
-        ),
-        Sheet(
-            "Success of every seed; Wilson: the 95 % interval of one network over test episodes",
-            ("row", "sd", "Wilson", "seeds " + _seeds(found)),
-            [_points(row) for row in found],
-        ),
-        Sheet(
-            "Weights of the best validation; time with time-outs as 25 s; training until validation success 0.9",
-            ("row", "best", "time, s", "episodes", "steps", "runs"),
-            [_course(row) for row in found],
-        ),
-    ]
-    compared = [row for row in found if row["difference"]]
-    if compared:
-        heads = ("row", "success\nless SARL's", "95 %", "p", "p (Holm)", "paper", "the paper is")
-        made.append(Sheet("Differences from SARL, paired by seed", heads, [_difference(row) for row in compared]))
-    if contrasts:
-        names = tuple(dict.fromkeys(contrast["of"] for contrast in contrasts))
-        changes = [_contrast(metric, contrasts) for metric in CONTRASTED]
-        made.append(
-            Sheet("Effect of each ingredient, with and without the other, paired by seed", ("", *names), changes)
-        )
-    return made
+    def table(self) -> Table:
+        """Return the sheet, without its title, as a table for the terminal."""
+        table = plain_table(*self.headings)
+        for row in self.rows:
+            table.add_row(*map(Text, row))
+        return table
 
 
-def _seeds(found: list[dict[str, Any]]) -> str:
-    every = sorted({seed for row in found for seed in row["seeds"]})
-    runs = every == list(range(every[0], every[-1] + 1))
-    return f"{every[0]}-{every[-1]}" if runs and len(every) > 1 else ", ".join(map(str, every))
+def plain_table(*headings: str, first: str = "left", gap: int = 0, title: str | None = None) -> Table:
+    """Return an empty table without an edge, its `first` column aligned as given and the others to the right.
+
+    `gap` is the number of columns between columns, besides one.
+    """
+    title = None if title is None else Text(title)
+    how = {"box": SIMPLE_HEAD, "padding": (0, gap, 0, 0), "pad_edge": False, "show_edge": False}
+    table = Table(title=title, title_justify="left", **how)
+    for number, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if number else first, no_wrap=True)
+    return table
+
+
+def make_sheet(title: str, lines: list[dict[str, str]]) -> Sheet:
+    """Return a sheet of lines whose cells are given by heading; raises IndexError without lines."""
+    return Sheet(title, tuple(lines[0]), [tuple(line.values()) for line in lines])
+
+
+def number(value: float | None, form: str = ".3f") -> str:
+    """Write a number in a format; "-" for None."""
+    return "-" if value is None else format(value, form)
 
 
 def rate(value: float | None) -> str:
-    """Write a rate with three digits and without a leading 0."""
-    if value is None:
-        return "-"
-    text = f"{value:.3f}"
-    return text[1:] if text.startswith("0") else "-" + text[2:] if text.startswith("-0") else text
+    """Write a rate with three digits and without a leading 0; "-" for None."""
+    return re.sub(r"^(-?)0\.", r"\1.", number(value))
+
+
+seconds, whole = partial(number, form=".2f"), partial(number, form=".0f")
 
 
 def p_value(p: float) -> str:
@@ -84,76 +73,102 @@ def p_value(p: float) -> str:
     return "<.001" if p < 0.001 else rate(p)
 
 
-def _number(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
-
-
-seconds = partial(_number, form=".2f")
-
-
-def between(low: float | None, high: float | None, form: Any = rate) -> str:
+def between(figure: dict[str, Any], form: Callable[[float], str] = rate) -> str:
     """Write an interval's ends by `form`, or "-" for none."""
-    return "-" if low is None else f"{form(low)} to {form(high)}"
+    return "-" if figure["low"] is None else f"{form(figure['low'])} to {form(figure['high'])}"
 
 
-def estimate(figure: dict[str, Any] | None, form: Any = rate) -> str:
+def estimate(figure: dict[str, Any] | None, form: Callable[[float], str] = rate) -> str:
     """Write a difference by `form`, with its interval in brackets; "-" for none."""
-    return "-" if figure is None else f"{form(figure['mean'])} ({between(figure['low'], figure['high'], form)})"
+    return "-" if figure is None else f"{form(figure['mean'])} ({between(figure, form)})"
 
 
-def _with_interval(figure: dict[str, Any]) -> str:
+def rate_interval(figure: dict[str, Any]) -> str:
+    """Write a mean rate and its interval, if there is one."""
     interval = "" if figure["low"] is None else f" {rate(figure['low'])}-{rate(figure['high'])}"
     return rate(figure["mean"]) + interval
 
 
-def _rates(row: dict[str, Any]) -> tuple[str, ...]:
+def sheets(summary: list[dict[str, Any]], contrasts: list[dict[str, Any]], title: str) -> list[Sheet]:
+    """Return a table's statistics as sheets of up to 80 columns: rates, seeds, training, differences, contrasts."""
+    seeds = sorted({seed for row in summary for seed in row["seeds"]})
+    unbroken = len(seeds) > 1 and seeds == list(range(seeds[0], seeds[-1] + 1))
+    named = f"{seeds[0]}-{seeds[-1]}" if unbroken else ", ".join(map(str, seeds))
+    compared = [row for row in summary if row["difference"]]
+    metrics = CONTRASTED if contrasts else ()
+    course = "Weights of the best validation; time with time-outs as 25 s; training until validation success 0.9"
+    pages = {
+        f"{title}; 95 % intervals over seeds (Student's t)": [_rates(row) for row in summary],
+        "Success of every seed; Wilson: the 95 % interval of one network over test episodes": [
+            _points(row, named) for row in summary
+        ],
+        course: [_course(row) for row in summary],
+        "Differences from SARL, paired by seed": [_difference(row) for row in compared],
+        "Effect of each ingredient, with and without the other, paired by seed": [
+            _contrast(metric, contrasts) for metric in metrics
+        ],
+    }
+    return [make_sheet(heading, lines) for heading, lines in pages.items() if lines]
+
+
+def _rates(row: dict[str, Any]) -> dict[str, str]:
     mean = {name: figure["mean"] for name, figure in row["figures"].items()}
+    return {
+        "row": row["row"],
+        "paper": "/".join(rate(value).removesuffix("0") for value in row["paper"]["success"]),
+        "success": rate_interval(row["figures"]["success"]),
+        "people +\nsquares": f"{rate(mean['human_collision'])}+{rate(mean['square_collision'])}",
+        "time-out": rate(mean["timeout"]),
+        "nav.\ntime": seconds(mean["navigation_time"]),
+        "total\nreward": number(mean["total_reward"]),
+        "the paper\nis": row["verdict"],
+    }
+
+
+def _points(row: dict[str, Any], seeds: str) -> dict[str, str]:
     success = row["figures"]["success"]
-    return (
-        row["row"],
-        "/".join(rate(value).removesuffix("0") for value in row["paper"]["success"]),
-        _with_interval(success),
-        f"{rate(mean['human_collision'])}+{rate(mean['square_collision'])}",
-        rate(mean["timeout"]),
-        seconds(mean["navigation_time"]),
-        _number(mean["total_reward"], ".3f"),
-        row["verdict"],
-    )
+    return {
+        "row": row["row"],
+        "sd": rate(success["deviation"]),
+        "Wilson": "-".join(map(rate, row["wilson_of_mean"])),
+        f"seeds {seeds}": " ".join(map(rate, success["values"])),
+    }
 
 
-def _points(row: dict[str, Any]) -> tuple[str, ...]:
-    low, high = row["wilson_of_mean"]
-    success = row["figures"]["success"]
-    return row["row"], rate(success["deviation"]), f"{rate(low)}-{rate(high)}", " ".join(map(rate, success["values"]))
-
-
-def _course(row: dict[str, Any]) -> tuple[str, ...]:
+def _course(row: dict[str, Any]) -> dict[str, str]:
     figures = row["figures"]
-    best, episodes = figures["best_success"], figures["reached_episodes"]
-    return (
-        row["row"],
-        _with_interval(best),
-        seconds(figures["navigation_time_charged"]["mean"]),
-        _number(episodes["mean"], ".0f"),
-        _number(figures["reached_steps"]["mean"], ",.0f"),
-        f"{sum(value is not None for value in episodes['values'])} of {len(episodes['values'])}",
-    )
+    episodes = figures["reached_episodes"]
+    return {
+        "row": row["row"],
+        "best": rate_interval(figures["best_success"]),
+        "time, s": seconds(figures["navigation_time_charged"]["mean"]),
+        "episodes": whole(episodes["mean"]),
+        "steps": number(figures["reached_steps"]["mean"], ",.0f"),
+        "runs": f"{sum(value is not None for value in episodes['values'])} of {len(episodes['values'])}",
+    }
 
 
-def _difference(row: dict[str, Any]) -> tuple[str, ...]:
-    found = row["difference"]
-    sure = (p_value(found["p"]), p_value(found["p_holm"])) if found["low"] is not None else ("-", "-")
-    numbers = rate(found["mean"]), between(found["low"], found["high"]), *sure
-    return row["row"], *numbers, rate(found["paper"]), found["verdict"]
+def _difference(row: dict[str, Any]) -> dict[str, str]:
+    gap = row["difference"]
+    p, p_holm = ("-" if gap["low"] is None else p_value(gap[name]) for name in ("p", "p_holm"))
+    return {
+        "row": row["row"],
+        "success\nless SARL's": rate(gap["mean"]),
+        "95 %": between(gap),
+        "p": p,
+        "p (Holm)": p_holm,
+        "paper": rate(gap["paper"]),
+        "the paper is": gap["verdict"],
+    }
 
 
-def _contrast(metric: str, contrasts: list[dict[str, Any]]) -> tuple[str, ...]:
-    form = {"navigation_time": seconds, "reached_episodes": partial(_number, form=".0f")}.get(metric, rate)
-    found = [c for c in contrasts if c["in"] == metric]
-    return CONTRASTED[metric], *(estimate(contrast, form) for contrast in found)
+def _contrast(metric: str, contrasts: list[dict[str, Any]]) -> dict[str, str]:
+    form = {"navigation_time": seconds, "reached_episodes": whole}.get(metric, rate)
+    effects = {contrast["of"]: estimate(contrast, form) for contrast in contrasts if contrast["in"] == metric}
+    return {"": CONTRASTED[metric]} | effects
 
 
-def csv_rows(found: list[dict[str, Any]], contrasts: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def csv_rows(summary: list[dict[str, Any]], contrasts: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return a line per figure of each seed, and one (seed "all") for the mean, its interval and the paper's."""
     lines = []
 
@@ -161,15 +176,14 @@ def csv_rows(found: list[dict[str, Any]], contrasts: list[dict[str, Any]]) -> li
         empty = dict.fromkeys(("low", "high", "paper", "p_holm"), "")
         lines.append({"row": row, "metric": metric, "seed": seed, "value": value} | empty | more)
 
-    for row in found:
+    for row in summary:
         for metric, figure in row["figures"].items():
             paper = "/".join(map(str, row["paper"][metric])) if metric in PAPERS else ""
             line(row["row"], metric, "all", figure["mean"], low=figure["low"], high=figure["high"], paper=paper)
             for seed, value in zip(row["seeds"], figure["values"], strict=True):
                 line(row["row"], metric, seed, value)
-        for seed, (low, high), value in zip(
-            row["seeds"], row["wilson"], row["figures"]["success"]["values"], strict=True
-        ):
+        rates = row["figures"]["success"]["values"]
+        for seed, (low, high), value in zip(row["seeds"], row["wilson"], rates, strict=True):
             line(row["row"], "success_wilson", seed, value, low=low, high=high)
         if row["difference"]:
             gap = {name: row["difference"][name] for name in ("low", "high", "paper", "p_holm")}
@@ -181,19 +195,29 @@ def csv_rows(found: list[dict[str, Any]], contrasts: list[dict[str, Any]]) -> li
 
 
 def model_sheet(cards: dict[str, dict[str, Any]]) -> Sheet:
-    """List model cards."""
-    heads = ("model", "preset", "seed", "tested on", "success alone", "with recovery", "nav.\ntime")
-    rows = []
+    """Return a sheet of model cards."""
+    lines = []
     for name, card in cards.items():
-        tests = card["alone"], card["with_recovery"]
-        rates = (f"{rate(t['success'])} {'-'.join(map(rate, t['interval']))}" for t in tests)
-        time = f"{tests[1]['navigation_time']:.2f}"
-        rows.append((name, card["preset"], str(card["seed"]), card["environment"], *rates, time))
-    return Sheet("Models that come with sfmrl; 95 % Wilson intervals", heads, rows)
+        alone, helped = (
+            f"{rate(test['success'])} {'-'.join(map(rate, test['interval']))}"
+            for test in (card["alone"], card["with_recovery"])
+        )
+        lines.append(
+            {
+                "model": name,
+                "preset": card["preset"],
+                "seed": str(card["seed"]),
+                "tested on": card["environment"],
+                "success alone": alone,
+                "with recovery": helped,
+                "nav.\ntime": seconds(card["with_recovery"]["navigation_time"]),
+            }
+        )
+    return make_sheet("Models that come with sfmrl; 95 % Wilson intervals", lines)
 
 
 def card_lines(card: dict[str, Any], indent: str = "") -> list[str]:
-    """Write a model card as lines of text."""
+    """Return a model card as lines of text."""
     lines = []
     for name, value in card.items():
         if isinstance(value, dict):

@@ -1,96 +1,195 @@
-"""Summarise a table's runs: means over seeds with 95 % intervals, differences from SARL, and the paper beside them.
+"""95 % intervals, tests of differences with their p-values, and what they say of a table's runs.
 
-All statistics follow from one value per seed and metric (`Figures`), which a table's CSV file holds, too. Differences
-are paired by seed. Intervals say what other training seeds would change on the same test episodes.
+Means over training seeds have Student's t interval, rates of test episodes Wilson's. Two policies on the same episodes
+are compared in pairs: success by Tango's interval and the exact McNemar test, navigation time by Student's t. Where
+values are too few to show a spread, there is no interval (None). A table's statistics follow from one value per seed
+and metric (`Figures`); differences between rows are paired by seed, and their intervals say what other training seeds
+would change on the same test episodes.
 """
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 
-from sfmrl.intervals import holm, mean_difference, mean_interval, next_run, wilson
-from sfmrl.study.results import Trained
-from sfmrl.study.tables import Table
+from sfmrl.intervals import Z, wilson
+from sfmrl.study.tables import Figures, Table
 
-TIME_CHARGED = 25.0  # s, what a time-out costs in the navigation time that counts them
+LEVEL = 0.95
+ROUNDING = 1e-9  # values that differ by less are equal
+HALVINGS = 60  # in a bisection, to the last bits of a float
 SEEDS_NEEDED = 5  # for a verdict on the paper
 WIDEST = 0.1  # a wider range of expected success is no basis for a verdict
-RATES = {"success", "human_collision", "square_collision", "timeout", "best_success", "start_success"}  # from 0 to 1
-RATES |= {"early_success", "early_training_success", "drops"}
+NO_RATES = ("navigation_time", "total_reward", "best_episode", "reached")  # beginnings of metrics not from 0 to 1
+# Two ingredients that the paper judges: the mean, over pairs of table 1's rows, of the first row less the second.
+CONTRASTS = {
+    "forces in the state": (("sarl-sfm5", "sarl"), ("sarl-sfm6", "sarl-sfm2")),
+    "SFM reward": (("sarl-sfm2", "sarl"), ("sarl-sfm6", "sarl-sfm5")),
+}
+CONTRASTED = {
+    "success": "success",
+    "start_success": "validation after imitation",
+    "early_success": "validation, first quarter",
+    "early_training_success": "training, first quarter",
+    "drops": "drop between validations",
+    "reached_episodes": "episodes until validation 0.9",
+    "navigation_time": "navigation time, s",
+}
+
+
+def t_within(t: float, degrees: int) -> float:
+    """Return P(|T| <= t) of Student's t with `degrees` of freedom (Abramowitz and Stegun, 26.7.3 and 26.7.4)."""
+    angle, odd = math.atan(t / math.sqrt(degrees)), degrees % 2
+    first = 0.0 if degrees == 1 else math.cos(angle) if odd else 1.0
+    k = np.arange(2 + odd, degrees, 2)
+    series = math.sin(angle) * first * (1 + float(np.cumprod((k - 1) / k * math.cos(angle) ** 2).sum()))
+    return 2 / math.pi * (angle + series) if odd else series
+
+
+@cache
+def t_quantile(degrees: int) -> float:
+    """Find the t for which P(|T| <= t) is 0.95, by bisection of the angle atan(t / sqrt(degrees))."""
+    low, high = 0.0, math.pi / 2
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        below = t_within(math.sqrt(degrees) * math.tan(middle), degrees) < LEVEL
+        low, high = (middle, high) if below else (low, middle)
+    return math.sqrt(degrees) * math.tan(low)
+
+
+def mean_interval(
+    values: np.ndarray, least: float = -math.inf, most: float = math.inf
+) -> tuple[float, float] | tuple[None, None]:
+    """Return Student's t interval of the mean of `values` (S,), cut to the possible values `least` to `most`.
+
+    Fewer than two values, or equal ones, show no spread: the interval is then (None, None).
+    """
+    values = np.asarray(values, dtype=float)
+    if len(values) < 2 or np.ptp(values) < ROUNDING:
+        return None, None
+    mean, half = float(values.mean()), t_quantile(len(values) - 1) * _standard_error(values)
+    return max(mean - half, least), min(mean + half, most)
+
+
+def _standard_error(values: np.ndarray) -> float:
+    return float(values.std(ddof=1)) / math.sqrt(len(values))
 
 
 @dataclass(frozen=True)
-class Figures:
-    """A row's metrics, one value per seed: `values` holds an array (S,) for each metric's name, NaN for no value."""
+class Difference:
+    """A mean difference, its 95 % interval (None where there is none), and the two-sided p-value of no difference."""
 
-    seeds: list[int]
-    test_episodes: int
-    values: dict[str, np.ndarray]
-
-    def of(self, metric: str, seeds: list[int]) -> np.ndarray:
-        """A metric's values for these seeds, in their order."""
-        return self.values[metric][[self.seeds.index(seed) for seed in seeds]]
+    mean: float
+    low: float | None
+    high: float | None
+    p: float
 
 
-def figures(tested: Trained) -> Figures:
-    """Compute the metrics of every seed from its test episodes and the course of its training.
+def mean_difference(gaps: np.ndarray, exact_below: int = 0) -> Difference:
+    """Return the mean of paired differences `gaps` (N,), N >= 1, Student's t interval and the t-test's p-value.
 
-    Success and the next three metrics add up to 1. `navigation_time` (s) is the mean over successes, as in the paper;
-    `navigation_time_charged` includes time-outs, each as 25 s.
+    Where there is no interval, p is that of the exact sign test: 1 for a single pair. With fewer than `exact_below`
+    pairs, p is the larger of the two: for differences that are far from normal, such as multiples of a time step.
     """
-    reached, steps = tested.reached
-    success, timeout = tested.success, tested.outcome == "timeout"
-    charged = np.where(timeout, TIME_CHARGED, tested.time)
-    values = {
-        "success": success.mean(axis=1),
-        "human_collision": (tested.hit == "human").mean(axis=1),
-        "square_collision": (tested.hit == "square").mean(axis=1),
-        "timeout": timeout.mean(axis=1),
-        "navigation_time": _mean_where(tested.time, success),
-        "navigation_time_charged": _mean_where(charged, success | timeout),
-        "total_reward": tested.total_reward.mean(axis=1),
-        "best_success": tested.best,
-        "best_episode": tested.best_episode.astype(float),
-        "start_success": tested.validation[:, 0],
-        "early_success": tested.early,
-        "early_training_success": tested.early_training,
-        "drops": tested.drops,
-        "reached_episodes": reached,
-        "reached_steps": steps,
-    }
-    return Figures(tested.seeds, tested.outcome.shape[1], values)
+    gaps = np.asarray(gaps, dtype=float)
+    mean, (low, high) = float(gaps.mean()), mean_interval(gaps)
+    exact = sign_test(int((gaps > ROUNDING).sum()), int((gaps < -ROUNDING).sum()))
+    if low is None:
+        return Difference(mean, None, None, exact)
+    p = max(0.0, 1 - t_within(abs(mean) / _standard_error(gaps), len(gaps) - 1))
+    return Difference(mean, low, high, p) if len(gaps) >= exact_below else _with_exact(mean, low, high, max(p, exact))
 
 
-def _mean_where(values: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """The mean of each row's entries in `where`, NaN without any."""
-    count = where.sum(axis=1)
-    return np.divide((values * where).sum(axis=1), count, out=np.full(len(values), np.nan), where=count > 0)
+def success_difference(only_one: int, only_other: int, episodes: int) -> Difference:
+    """Return the success rate of one policy less that of another in the same `episodes`.
+
+    `only_one` and `only_other` count the episodes in which one policy alone succeeds. The interval is Tango's (1998);
+    p is that of the exact McNemar test, which is the sign test on the episodes that differ.
+    """
+    low, high = (_tango_limit(only_one, only_other, episodes, bound) for bound in (-1.0, 1.0))
+    return _with_exact((only_one - only_other) / episodes, low, high, sign_test(only_one, only_other))
+
+
+def _tango_limit(only_one: int, only_other: int, episodes: int, bound: float) -> float:
+    """Find the last difference on the way to `bound` (1 or -1) that the score test does not reject, by bisection.
+
+    The test of a difference `delta` takes its variance from the likeliest rates whose difference is `delta`.
+    """
+    near, far = (only_one - only_other) / episodes, bound
+    for _ in range(HALVINGS):
+        delta = (near + far) / 2
+        # Given `delta`, the likeliest rate q of `only_other` solves 2 n q^2 + b q = only_other delta (1 - delta).
+        b = (2 * episodes - only_one + only_other) * delta - only_one - only_other
+        root = math.sqrt(max(b * b + 8 * episodes * only_other * delta * (1 - delta), 0.0))
+        likeliest = (root - b) / (4 * episodes)
+        variance = episodes * (2 * likeliest + delta * (1 - delta))
+        inside = (only_one - only_other - episodes * delta) ** 2 < Z * Z * variance
+        near, far = (delta, far) if inside else (near, delta)
+    return near
+
+
+def _with_exact(mean: float, low: float, high: float, p: float) -> Difference:
+    """Return a difference with the p-value of an exact test, and its interval widened to 0 unless p rejects 0."""
+    if p > 1 - LEVEL:
+        low, high = min(low, 0.0), max(high, 0.0)
+    return Difference(mean, low, high, p)
+
+
+def sign_test(ups: int, downs: int) -> float:
+    """Return the exact two-sided p-value of `ups` and `downs`, if both were equally likely."""
+    n = ups + downs
+    logs = (math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1) for k in range(min(ups, downs) + 1))
+    return min(1.0, 2 * sum(math.exp(log - n * math.log(2)) for log in logs))
+
+
+def holm(p_values: np.ndarray) -> np.ndarray:
+    """Return p-values (n,) adjusted for being several (Holm, 1979)."""
+    p_values = np.asarray(p_values, dtype=float)
+    order = np.argsort(p_values)
+    adjusted = np.maximum.accumulate(p_values[order] * np.arange(len(order), 0, -1))
+    result = np.empty_like(p_values)
+    result[order] = np.minimum(adjusted, 1.0)
+    return result
+
+
+def next_run(rates: np.ndarray, trials: int) -> tuple[float, float]:
+    """Return the mean of the seeds' `rates` (S,), S >= 2, and the half-width of the 95 % range of one more run's rate.
+
+    That run is tested on `trials` other episodes. The variance adds up the spread of the seeds, the error of their
+    mean, and the chance of a test, whose rate has Agresti and Coull's (1998) correction away from 0 and 1.
+    """
+    rates = np.asarray(rates, dtype=float)
+    mean = float(rates.mean())
+    likely = (mean * trials + 2) / (trials + 4)
+    variance = rates.var(ddof=1) * (1 + 1 / len(rates)) + likely * (1 - likely) / trials
+    return mean, t_quantile(len(rates) - 1) * math.sqrt(variance)
 
 
 def summarise(table: Table, rows: dict[str, Figures]) -> list[dict[str, Any]]:
     """Return each row's name, the paper's figures and ours as plain values, ready for JSON; None for no value."""
-    found = []
+    summary = []
     for name, row in rows.items():
+        figures = {metric: _over_seeds(v, not metric.startswith(NO_RATES)) for metric, v in row.values.items()}
         hits = np.round(row.values["success"] * row.test_episodes)
-        found.append(
+        summary.append(
             {
                 "row": name,
                 "paper": table.paper[name],
                 "seeds": row.seeds,
                 "test_episodes": row.test_episodes,
-                "figures": {metric: _over_seeds(v, metric in RATES) for metric, v in row.values.items()},
+                "figures": figures,
                 "wilson": [list(wilson(int(count), row.test_episodes)) for count in hits],
                 "wilson_of_mean": list(wilson(round(hits.mean()), row.test_episodes)),
                 **_verdict(table, name, row.values["success"]),
-                "difference": _from_sarl(table, name, rows),
+                "difference": _less_sarl(table, name, rows),
             }
         )
-    compared = [row["difference"] for row in found if row["difference"]]
-    for difference, p in zip(compared, holm(np.array([d["p"] for d in compared])), strict=True):
+    differences = [row["difference"] for row in summary if row["difference"]]
+    for difference, p in zip(differences, holm(np.array([d["p"] for d in differences])), strict=True):
         difference["p_holm"] = float(p)
-    return found
+    return summary
 
 
 def _over_seeds(values: np.ndarray, is_rate: bool = False) -> dict[str, Any]:
@@ -120,7 +219,7 @@ def _judge(low: float, high: float, reported: tuple[float, ...]) -> str:
     return "inconsistent"
 
 
-def _from_sarl(table: Table, name: str, rows: dict[str, Figures]) -> dict[str, Any] | None:
+def _less_sarl(table: Table, name: str, rows: dict[str, Figures]) -> dict[str, Any] | None:
     """A row's success less SARL's, paired by seed; None for SARL itself and where nothing can be paired."""
     if name == "sarl" or "sarl" not in rows:
         return None
@@ -129,44 +228,23 @@ def _from_sarl(table: Table, name: str, rows: dict[str, Figures]) -> dict[str, A
     if not shared or ours.test_episodes != sarl.test_episodes:
         return None
     one, other = (row.of("success", shared) for row in (ours, sarl))
-    reported = [np.mean(table.paper[row]["success"]) for row in (name, "sarl")]
-    difference = vars(mean_difference(one - other)) | {
-        "seeds": shared,
-        "paper": float(reported[0] - reported[1]),
-        "verdict": "inconclusive",
-    }
+    paper = float(np.mean(table.paper[name]["success"]) - np.mean(table.paper["sarl"]["success"]))
+    difference = vars(mean_difference(one - other)) | {"seeds": shared, "paper": paper, "verdict": "inconclusive"}
     if len(shared) >= SEEDS_NEEDED:
         (mean, half), (sarl_mean, sarl_half) = (next_run(rates, table.test_episodes) for rates in (one, other))
         low, high = (mean - sarl_mean + sign * math.hypot(half, sarl_half) for sign in (-1, 1))
-        difference |= {"expected": [low, high], "verdict": _judge(low, high, (difference["paper"],))}
+        difference |= {"expected": [low, high], "verdict": _judge(low, high, (paper,))}
     return difference
-
-
-# Two ingredients that the paper judges, as differences between table 1's rows: the mean, over the pairs, of the first
-# row less the second.
-CONTRASTS = {
-    "forces in the state": (("sarl-sfm5", "sarl"), ("sarl-sfm6", "sarl-sfm2")),
-    "SFM reward": (("sarl-sfm2", "sarl"), ("sarl-sfm6", "sarl-sfm5")),
-}
-CONTRASTED = {
-    "success": "success",
-    "start_success": "validation after imitation",
-    "early_success": "validation, first quarter",
-    "early_training_success": "training, first quarter",
-    "drops": "drop between validations",
-    "reached_episodes": "episodes until validation 0.9",
-    "navigation_time": "navigation time, s",
-}
 
 
 def contrasts(rows: dict[str, Figures]) -> list[dict[str, Any]]:
     """Return the effects of forces in the state and of the SFM reward, paired by the seeds that all their rows have."""
-    found = []
+    effects = []
     for ingredient, pairs in CONTRASTS.items():
         if not all(name in rows for pair in pairs for name in pair):
             continue
         shared = [s for s in rows["sarl"].seeds if all(s in rows[name].seeds for pair in pairs for name in pair)]
         for metric in CONTRASTED:
             by_seed = np.mean([rows[a].of(metric, shared) - rows[b].of(metric, shared) for a, b in pairs], axis=0)
-            found.append({"of": ingredient, "in": metric, **_over_seeds(by_seed)})
-    return found
+            effects.append({"of": ingredient, "in": metric, **_over_seeds(by_seed)})
+    return effects

@@ -1,12 +1,26 @@
-"""The paper's two tables: their rows, with the paper's own figures, and the trainings that make them."""
+"""The paper's two tables: rows with the paper's figures, the trainings that make them, each seed's metrics.
+
+Only finished run folders are read, so where and in which order they were trained does not matter. All are tested on the
+same episodes, with the weights that the training ended with, as in the paper; those of the best validation are tested
+beside them. Validation, test and training episodes are drawn from streams of their own, and never overlap.
+"""
 
 import re
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from sfmrl.config import ConfigError, suggest
+from sfmrl.files import json_object, read_listed, read_table
 from sfmrl.folders import finished
+from sfmrl.study.jobs import Job
+
+MOST_SEEDS = 1000  # of a table
+VALIDATION_INTERVAL = {"paper": 1000, "quick": 250}  # episodes; the paper's figure has a point every 1000
+EARLY = 0.25  # the first part of a training, for the early metrics
+REACHED = 0.9  # validation success
+TIME_CHARGED = 25.0  # s, for a time-out in the navigation time that counts time-outs
 
 
 @dataclass(frozen=True)
@@ -23,13 +37,8 @@ class Table:
     paper: dict[str, dict[str, tuple[float, ...]]]
 
 
-def _row(success: tuple, collision: tuple, navigation_time: tuple, total_reward: tuple) -> dict[str, tuple]:
-    return {
-        "success": success,
-        "collision": collision,
-        "navigation_time": navigation_time,
-        "total_reward": total_reward,
-    }
+def _row(*figures: tuple[float, ...]) -> dict[str, tuple[float, ...]]:
+    return dict(zip(("success", "collision", "navigation_time", "total_reward"), figures, strict=True))
 
 
 TABLES = {
@@ -57,33 +66,10 @@ TABLES = {
         },
     ),
 }
-SEEDS = 1000  # of a table at most
-VALIDATION_INTERVAL = {"paper": 1000, "quick": 250}  # episodes; the paper's figure has a point every 1000
-
-
-@dataclass(frozen=True)
-class Job:
-    """A training as one plain command: `words` follow "sfmrl". It can be given again, and then goes on."""
-
-    name: str
-    words: tuple[str, ...]
-    folder: Path  # the run folder that it makes
-    needs: Path | None  # the run folder that has to be finished before
-    episodes: int  # of reinforcement
-
-    @property
-    def command(self) -> str:
-        """What to type."""
-        return shlex.join(["sfmrl", *self.words])
-
-    @property
-    def finished(self) -> bool:
-        """Whether nothing is left to do."""
-        return finished(self.folder)
 
 
 def make_jobs(number: int, preset: str, seeds: list[int], rows: list[str], folder: Path) -> list[Job]:
-    """The trainings of a table: an imitation run for each seed, which its rows share, and a run for each row."""
+    """Return the trainings of a table: an imitation run for each seed, which its rows share, and a run for each row."""
     table, jobs = TABLES[number], []
     for seed in seeds:
         source = folder / f"{preset}-il-seed{seed}"
@@ -103,12 +89,12 @@ def make_jobs(number: int, preset: str, seeds: list[int], rows: list[str], folde
 
 
 def run_folder(folder: Path, number: int, preset: str, row: str, seed: int) -> Path:
-    """Where a row's run of a seed has its place."""
+    """Return the run folder of a row's training with a seed."""
     return folder / f"{preset}-table{number}-{row}-seed{seed}"
 
 
 def parse_rows(number: int, text: str | None) -> list[str]:
-    """Names of rows, separated by commas, all of the table's by default; raises ConfigError on others."""
+    """Return a table's rows named in `text`, separated by commas, or all by default; raises ConfigError on others."""
     known = TABLES[number].paper
     rows = list(known) if text is None else [name.strip() for name in text.split(",")]
     for name in rows:
@@ -118,14 +104,132 @@ def parse_rows(number: int, text: str | None) -> list[str]:
 
 
 def parse_seeds(text: str) -> list[int]:
-    """Seeds from "0-9" or "0,3,5-7", each once; raises ConfigError on what is neither."""
+    """Return the seeds of "0-9" or "0,3,5-7", each once; raises ConfigError on anything else."""
     seeds: dict[int, None] = {}
     for part in text.split(","):
         match = re.fullmatch(r"([0-9]{1,18})(?:-([0-9]{1,18}))?", part.strip())
         first, last = (int(end or match[1]) for end in match.groups()) if match else (0, -1)
         if last < first:
             raise ConfigError(f"--seeds {text}: {part.strip()!r} is neither a seed nor a range; write 0-9 or 0,3,5-7")
-        if len(seeds) + last - first >= SEEDS:
-            raise ConfigError(f"--seeds {text} are too many; name at most {SEEDS}")
+        if len(seeds) + last - first >= MOST_SEEDS:
+            raise ConfigError(f"--seeds {text} are too many; name at most {MOST_SEEDS}")
         seeds |= dict.fromkeys(range(first, last + 1))
     return list(seeds)
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A row's finished runs: E test episodes, V validations and T training episodes of each of S seeds."""
+
+    seeds: list[int]
+    outcome: np.ndarray  # (S, E) "success", "collision", "timeout"
+    hit: np.ndarray  # (S, E) "human", "square" or "" without a collision
+    time: np.ndarray  # (S, E) s
+    total_reward: np.ndarray  # (S, E)
+    best: np.ndarray  # (S,) success of the best validation
+    best_episode: np.ndarray  # (S,) the training episode of that validation
+    episodes: np.ndarray  # (V,) training episodes at which there was a validation
+    validation: np.ndarray  # (S, V) its success
+    training: np.ndarray  # (S, T) bool, success of the training episodes, exploring
+    steps: np.ndarray  # (S, T) steps that they took
+
+
+def read_row(folder: Path, number: int, preset: str, row: str, seeds: list[int]) -> Trained | None:
+    """Read the finished runs of a row among `seeds`; returns None where there is none.
+
+    Raises ConfigError where a run cannot be read, or was tested or validated on other episodes than the others;
+    DamagedFile where one of its files is not what was written.
+    """
+    runs = {seed: run_folder(folder, number, preset, row, seed) for seed in seeds}
+    runs = {seed: run for seed, run in runs.items() if finished(run)}
+    if not runs:
+        return None
+    try:
+        return _read_runs(runs)
+    except ConfigError:
+        raise
+    except (OSError, ValueError, LookupError, TypeError, ArithmeticError) as error:  # what odd content leads to
+        raise ConfigError(f"a run of row {row} under {folder} cannot be read ({error!r}); train it again") from error
+
+
+def _read_runs(runs: dict[int, Path]) -> Trained:
+    folders = list(runs.values())
+    best = [json_object(read_listed(run / "result.json"))["best_validation"] for run in folders]
+    validation = _columns(folders, "validation.csv", "validated", episode=int, success=float)
+    metrics = _columns(folders, "metrics.csv", outcome=str, steps=int)
+    return Trained(
+        seeds=list(runs),
+        **_columns(folders, "test.csv", "tested", outcome=str, hit=str, time=float, total_reward=float),
+        best=np.array([float(result["success"]) for result in best]),
+        best_episode=np.array([int(result["episode"]) for result in best]),
+        episodes=validation["episode"][0],
+        validation=validation["success"],
+        training=metrics["outcome"] == "success",
+        steps=metrics["steps"],
+    )
+
+
+def _columns(runs: list[Path], name: str, played: str = "", **kinds: type) -> dict[str, np.ndarray]:
+    """Read columns of the CSV file `name` of every run, each (S, rows) of the type that `kinds` gives its heading.
+
+    With `played`, raises ConfigError, with this word, unless all runs list the same episodes.
+    """
+    tables = [read_table(run / name) for run in runs]
+    for run, table in zip(runs, tables, strict=True):
+        if played and [row["episode"] for row in table] != [row["episode"] for row in tables[0]]:
+            raise ConfigError(f"{run} was {played} on other episodes than the row's other runs; train it again")
+    return {key: np.array([[row[key] for row in table] for table in tables]).astype(kinds[key]) for key in kinds}
+
+
+@dataclass(frozen=True)
+class Figures:
+    """A row's metrics, one value per seed: `values` holds an array (S,) for each metric's name, NaN for no value."""
+
+    seeds: list[int]
+    test_episodes: int
+    values: dict[str, np.ndarray]
+
+    def of(self, metric: str, seeds: list[int]) -> np.ndarray:
+        """Return a metric's values for these seeds, in their order."""
+        return self.values[metric][[self.seeds.index(seed) for seed in seeds]]
+
+
+def figures(runs: Trained) -> Figures:
+    """Compute the metrics of every seed from its test episodes and the course of its training."""
+    success, timeout = runs.outcome == "success", runs.outcome == "timeout"
+    first = (runs.episodes > 0) & (runs.episodes <= EARLY * runs.episodes[-1])  # validations; not that of the start
+    no_value = np.full(len(runs.seeds), np.nan)
+    reached, steps = _reached(runs)
+    values = {
+        "success": success.mean(axis=1),  # this and the next three add up to 1
+        "human_collision": (runs.hit == "human").mean(axis=1),
+        "square_collision": (runs.hit == "square").mean(axis=1),
+        "timeout": timeout.mean(axis=1),
+        "navigation_time": _mean_where(runs.time, success),  # s, as in the paper
+        "navigation_time_charged": _mean_where(np.where(timeout, TIME_CHARGED, runs.time), success | timeout),
+        "total_reward": runs.total_reward.mean(axis=1),
+        "best_success": runs.best,
+        "best_episode": runs.best_episode.astype(float),
+        "start_success": runs.validation[:, 0],
+        "early_success": runs.validation[:, first].mean(axis=1) if first.any() else no_value,
+        "early_training_success": runs.training[:, : int(EARLY * runs.training.shape[1])].mean(axis=1),
+        "drops": np.maximum(-np.diff(runs.validation, axis=1), 0).mean(axis=1),  # 0 is steady
+        "reached_episodes": reached,
+        "reached_steps": steps,
+    }
+    return Figures(runs.seeds, runs.outcome.shape[1], values)
+
+
+def _mean_where(values: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Return the mean of each row's entries in `where`, NaN without any."""
+    count = where.sum(axis=1)
+    return np.divide((values * where).sum(axis=1), count, out=np.full(len(values), np.nan), where=count > 0)
+
+
+def _reached(runs: Trained) -> tuple[np.ndarray, np.ndarray]:
+    """Return training episodes and steps until the first validation success of 0.9, each (S,); NaN where never."""
+    enough = runs.validation >= REACHED
+    at = np.where(enough.any(axis=1), runs.episodes[enough.argmax(axis=1)], np.nan)
+    count = np.concatenate([np.zeros((len(at), 1)), runs.steps.cumsum(axis=1)], axis=1)
+    steps = [row[int(n)] if np.isfinite(n) else np.nan for row, n in zip(count, at, strict=True)]
+    return at, np.array(steps)

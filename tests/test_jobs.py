@@ -14,9 +14,7 @@ from conftest import environment
 
 from sfmrl.folders import WEIGHTS, finished
 from sfmrl.stopping import Interrupted, StopSignal
-from sfmrl.study.cluster import pack, unpack
-from sfmrl.study.jobs import Failed, run_jobs
-from sfmrl.study.tables import Job
+from sfmrl.study.jobs import Failed, Job, Processes, RayWorkers, pack, run_jobs, unpack
 
 TINY_IL = ("--episodes", "12", "--epochs", "1", "--threads", "1")
 TINY_RL = ("--episodes", "16", "--validation-episodes", "4", "--test-episodes", "4", "--no-recover", "--threads", "1")
@@ -58,12 +56,12 @@ class Told:
 def test_each_job_waits_for_what_it_needs_and_is_run_once(tmp_path):
     jobs = [rl_job(tmp_path / "b", tmp_path / "a"), il_job(tmp_path / "a")]
     told, said = Told(), []
-    run_jobs(jobs, 2, told, StopSignal(), said.append)
+    run_jobs(jobs, Processes(2), told, StopSignal(), said.append)
     assert all(finished(job.folder) for job in jobs)
     assert (told.titles, told.total, said) == (["trainings"], 16, [])
     assert "finished" not in (tmp_path / "logs" / "a.txt").read_text()
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()}
-    run_jobs(jobs, 2, told, StopSignal(), said.append)
+    run_jobs(jobs, Processes(2), told, StopSignal(), said.append)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*") if path.is_file()} == before
     # Given by hand, a command that has nothing left to do says so and is no failure.
     done = subprocess.run([sys.executable, "-m", "sfmrl", *jobs[0].words], capture_output=True, text=True, check=False)
@@ -75,7 +73,7 @@ def test_a_failure_is_named_and_keeps_nobody_else_from_running(tmp_path):
     jobs = [bad, rl_job(tmp_path / "after", bad.folder), il_job(tmp_path / "good", 1)]
     said = []
     with pytest.raises(Failed, match="2 trainings failed: bad, after"):
-        run_jobs(jobs, 1, Told(), StopSignal(), said.append)
+        run_jobs(jobs, Processes(1), Told(), StopSignal(), said.append)
     assert finished(tmp_path / "good")
     assert len(said) == 1
     assert "bad failed: sfmrl: there is no environment 'nowhere'" in said[0]
@@ -84,7 +82,7 @@ def test_a_failure_is_named_and_keeps_nobody_else_from_running(tmp_path):
 def test_a_stop_lets_trainings_keep_what_they_need_to_go_on(tmp_path):
     whole = il_job(tmp_path / "whole", 0, "--epochs", "8")
     stopped = il_job(tmp_path / "stopped", 0, "--epochs", "8")
-    run_jobs([whole], 1, Told(), StopSignal(), print)
+    run_jobs([whole], Processes(1), Told(), StopSignal(), print)
     stop = StopSignal()
 
     class StopsIt(Told):
@@ -97,10 +95,10 @@ def test_a_stop_lets_trainings_keep_what_they_need_to_go_on(tmp_path):
             yield told
 
     with pytest.raises(Interrupted):
-        run_jobs([stopped], 1, StopsIt(), stop, print)
+        run_jobs([stopped], Processes(1), StopsIt(), stop, print)
     if not finished(stopped.folder):  # so it is on any machine that takes a second for eight epochs
         assert list(stopped.folder.glob("checkpoint-*.npz"))
-    run_jobs([stopped], 1, Told(), StopSignal(), print)
+    run_jobs([stopped], Processes(1), Told(), StopSignal(), print)
     assert (stopped.folder / WEIGHTS).read_bytes() == (whole.folder / WEIGHTS).read_bytes()
 
 
@@ -155,8 +153,6 @@ def test_a_cluster_of_two_workers_loses_one_in_the_middle(tmp_path):
     import ray
     from ray.cluster_utils import Cluster
 
-    from sfmrl.study.cluster import run_on_ray
-
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
     try:
         workers = [cluster.add_node(num_cpus=1) for _ in range(2)]
@@ -175,7 +171,7 @@ def test_a_cluster_of_two_workers_loses_one_in_the_middle(tmp_path):
         killer = threading.Thread(target=kill_one)
         killer.start()
         told = Told()
-        run_on_ray(jobs, told, StopSignal(), said.append)
+        run_jobs(jobs, RayWorkers(), told, StopSignal(), said.append)
         assert not killer.is_alive()  # the worker was lost while others were at work
         assert said == []
         assert all(finished(job.folder) for job in jobs)
@@ -186,5 +182,5 @@ def test_a_cluster_of_two_workers_loses_one_in_the_middle(tmp_path):
         ray.shutdown()
         cluster.shutdown()
     again = il_job(tmp_path / "again", 1, "--epochs", "12")
-    run_jobs([again], 1, Told(), StopSignal(), print)
+    run_jobs([again], Processes(1), Told(), StopSignal(), print)
     assert (again.folder / WEIGHTS).read_bytes() == (tmp_path / "b" / WEIGHTS).read_bytes()

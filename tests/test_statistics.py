@@ -8,8 +8,8 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sfmrl.intervals import (
-    episode_difference,
+from sfmrl.intervals import wilson
+from sfmrl.study.statistics import (
     holm,
     mean_difference,
     mean_interval,
@@ -18,7 +18,6 @@ from sfmrl.intervals import (
     success_difference,
     t_quantile,
     t_within,
-    wilson,
 )
 
 
@@ -119,18 +118,18 @@ def test_the_interval_of_success_leaves_out_0_where_the_exact_test_does(one, oth
 
 
 def test_few_pairs_of_times_are_no_proof():
-    assert vars(episode_difference(np.array([-7.0]))) == {"mean": -7, "low": None, "high": None, "p": 1}
-    two = episode_difference(np.array([-7.0, -7.25]))
+    assert vars(mean_difference(np.array([-7.0]), 25)) == {"mean": -7, "low": None, "high": None, "p": 1}
+    two = mean_difference(np.array([-7.0, -7.25]), 25)
     assert two.p == 0.5
     assert two.low < two.mean < two.high == 0
-    same = episode_difference(np.zeros(500))
+    same = mean_difference(np.zeros(500), 25)
     assert (same.low, same.p) == (None, 1)
 
 
 @pytest.mark.parametrize("pairs", [2, 5, 24, 100])
 def test_times_that_differ_by_chance_are_rarely_called_different(pairs):
     gaps = np.round(4 * rng(5).standard_t(3, size=(1000, pairs))) / 4  # heavy tails, in steps of 0.25 s
-    assert np.mean([episode_difference(gap).p < 0.05 for gap in gaps]) <= 0.06
+    assert np.mean([mean_difference(gap, 25).p < 0.05 for gap in gaps]) <= 0.06
 
 
 def closed_testing(p_values: np.ndarray) -> np.ndarray:
