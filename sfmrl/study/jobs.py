@@ -156,18 +156,14 @@ def _last_line(text: str) -> str:
 
 
 class RayWorkers:
-    """Runs jobs on the cluster that RAY_ADDRESS names, on one that runs on this machine, or on this machine alone.
-
-    Raises ConfigError without Ray.
-    """
+    """Runs jobs on the cluster that RAY_ADDRESS names, else one on this machine; raises ConfigError without Ray."""
 
     def __init__(self) -> None:
         try:
             import ray
         except ImportError:
             raise ConfigError("--on ray needs Ray; install it with pip install 'sfmrl[ray]'") from None
-        if not ray.is_initialized():
-            ray.init(log_to_driver=False, logging_level="error")
+        ray.init(log_to_driver=False, logging_level="error", ignore_reinit_error=True)
         self._ray = ray
         self._train = ray.remote(num_cpus=1, max_retries=-1)(train_away)
         self._packed = cache(lambda folder: folder and ray.put(pack(folder)))  # sent once, whoever needs it
@@ -224,12 +220,11 @@ def pack(folder: Path) -> bytes:
 
 def unpack(data: bytes, folder: Path) -> None:
     """Replace a folder by the files of an archive; a crash leaves the old folder, the new one or none, never a part."""
-    new, old = (folder.with_name(f".{folder.name}.{which}.tmp") for which in ("new", "old"))
-    for left in (new, old):  # by an unpacking that was killed
-        shutil.rmtree(left, ignore_errors=True)
+    place = folder.with_name(f".{folder.name}.tmp")
+    shutil.rmtree(place, ignore_errors=True)  # left by an unpacking that was killed
     with tarfile.open(fileobj=io.BytesIO(data)) as archive:
-        archive.extractall(new, filter="data")
+        archive.extractall(place / "new", filter="data")
     if folder.exists():
-        folder.rename(old)
-    new.rename(folder)
-    shutil.rmtree(old, ignore_errors=True)
+        folder.rename(place / "old")
+    (place / "new").rename(folder)
+    shutil.rmtree(place)
