@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -102,13 +101,11 @@ def print_metrics(result: dict[str, Any], title: str) -> None:
 
 
 def _print_many(rows: dict[str, dict[str, Any]], title: str) -> None:
-    """A line a row, with the interval of success alone."""
-    table = Table(
-        title=Text(title), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False
-    )
-    table.add_column(no_wrap=True)
-    for heading in ("success", "95 %", "collision", "time-out", "nav. time", "total\nreward"):
-        table.add_column(heading, justify="right")
+    """Print a line a row, with the interval of success alone."""
+    from sfmrl.study.sheets import plain_table
+
+    heads = ("", "success", "95 %", "collision", "time-out", "nav. time", "total\nreward")
+    table = plain_table(*heads, gap=1, title=title)
     for name, row in rows.items():
         low, high = row["intervals"]["success"]
         interval = f"[dim]{low:.2f}-{high:.2f}[/dim]"
@@ -126,14 +123,6 @@ def _rest(row: dict[str, Any]) -> tuple[str, str, str]:
 def print_table(table: Table) -> None:
     """Print a table; in a narrow terminal its lines wrap, but no number is cut."""
     out.print(table, width=max(out.width, WIDTH), crop=False)
-
-
-def plain_table(*headings: str, first: str = "left") -> Table:
-    """Return an empty table without an edge, its `first` column aligned as given and the others to the right."""
-    table = Table(box=SIMPLE_HEAD, padding=0, pad_edge=False, show_edge=False)
-    for number, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if number else first, no_wrap=True)
-    return table
 
 
 def print_sheet(sheet: Any) -> None:

@@ -9,7 +9,7 @@ import typer
 
 from sfmrl import completion, options
 from sfmrl.config import EPISODES, STEPS
-from sfmrl.console import err, new_file, out, say, say_finding, say_result
+from sfmrl.console import WIDTH, err, new_file, out, print_table, say, say_finding, say_result
 from sfmrl.files import csv_text, write_text
 from sfmrl.options import number_option, option, settings_options
 from sfmrl.session import choose, drawn, use_threads
@@ -40,7 +40,7 @@ def explain(
     """Take an episode apart: each step's reward by term, and what the paper's rewards would have paid."""
     from sfmrl.episodes import play_episodes
     from sfmrl.lessons.explain import chosen_steps, explain_episode
-    from sfmrl.lessons.tables import print_explanation
+    from sfmrl.lessons.tables import explanation_parts
     from sfmrl.scenes import sample_scenes
 
     new_file(csv, "csv", overwrite)
@@ -63,7 +63,8 @@ def explain(
         what |= {"reward": asdict(config.reward), "totals": totals, "return": explained.own.discounted_return}
         say_result(json.dumps(what | {"rewards": accounts, "steps": explained.steps}, indent=2, allow_nan=False))
     else:
-        print_explanation(explained, shown, name)
+        for part in explanation_parts(explained, shown, name, max(out.width, WIDTH)):
+            say_result(part) if isinstance(part, str) else print_table(part)
 
 
 @app.command(epilog="Example: sfmrl verify runs/rl-sarl-sfm2-seed0 --episodes 500")

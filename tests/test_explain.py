@@ -10,7 +10,7 @@ import pytest
 
 from sfmrl.config import Config, ConfigError, Reward
 from sfmrl.episodes import play_episodes
-from sfmrl.lessons.explain import REWARDS, chosen_steps, explain_episode, mark
+from sfmrl.lessons.explain import PAPER_REWARDS, chosen_steps, explain_episode, mark
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import orca_policy
@@ -18,10 +18,10 @@ from sfmrl.recovery import with_recovery
 from sfmrl.scenes import sample_scenes
 from sfmrl.variants import make_config
 
-OWN = replace(REWARDS["sfm-discount"], k=0.002, discount_start=5.0)
+OWN = replace(PAPER_REWARDS["sfm-discount"], k=0.002, discount_start=5.0)
 
 
-@pytest.mark.parametrize("reward", [*REWARDS.values(), OWN], ids=[*REWARDS, "own"])
+@pytest.mark.parametrize("reward", [*PAPER_REWARDS.values(), OWN], ids=[*PAPER_REWARDS, "own"])
 @pytest.mark.parametrize("environment", ["1", "2", "circle0"])
 def test_the_terms_add_up_to_the_record_s_return_whatever_the_reward(reward, environment):
     for discount in (0.9, 0.97):
@@ -41,13 +41,13 @@ def test_the_terms_add_up_to_the_record_s_return_whatever_the_reward(reward, env
                 by_step = {term: [s[f"{account.name}: {term}"] for s in explained.steps] for term in account.plain}
                 assert {term: sum(paid) for term, paid in by_step.items()} == pytest.approx(account.plain, abs=1e-12)
             names = [account.name for account in explained.accounts]
-            assert names == (["own sfm-discount"] if reward is OWN else []) + list(REWARDS)
+            assert names == (["own sfm-discount"] if reward is OWN else []) + list(PAPER_REWARDS)
 
 
 def test_the_other_rewards_pay_what_the_same_episode_played_under_them_does():
     scenes = sample_scenes("1", 3)
     records = {
-        name: play_episodes(scenes, orca_policy, reward, Config().simulation) for name, reward in REWARDS.items()
+        name: play_episodes(scenes, orca_policy, reward, Config().simulation) for name, reward in PAPER_REWARDS.items()
     }
     for row in range(3):
         explained = explain_episode(records["crowd"], row, orca_policy, Reward(), 0.9)
@@ -97,7 +97,7 @@ def rows(*events: str) -> list[dict]:
     return [{"step": k, "event": event} for k, event in enumerate(events, 1)]
 
 
-def test_every_so_manyth_step_and_the_events_are_shown():
+def test_every_nth_step_and_the_events_are_shown():
     quiet = rows(*[""] * 29, "goal reached")
     assert [row["step"] for row in chosen_steps(quiet)] == [*range(1, 31, 3), 30]
     assert [row["step"] for row in chosen_steps(quiet, every=10)] == [1, 11, 21, 30]

@@ -95,15 +95,15 @@ LEVELS = (
     (
         "lessons",
         "lessons.explain",
-        "lessons.run_replay",
+        "lessons.rerun",
         "lessons.verify",
+        "lessons.tables",
         "lessons.doctor",
     ),
     (
         "completion",
         "options",
         "console",
-        "lessons.tables",
         "greeting",
         "session",
         "training_commands",

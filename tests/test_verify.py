@@ -15,7 +15,7 @@ import pytest
 from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import RATES
 from sfmrl.files import csv_text, remove_checked, unlist
-from sfmrl.lessons.run_replay import Disagreement, Replay
+from sfmrl.lessons.rerun import Disagreement, Rerun
 from sfmrl.lessons.verify import Finding, verify
 from sfmrl.network import ValueNetwork
 from sfmrl.progress import no_progress
@@ -233,7 +233,7 @@ def test_a_training_that_ended_on_this_machine_is_held_to_its_bits_wherever_it_b
 
 
 def test_where_bits_differ_outcomes_and_times_are_held_to_a_tolerance():
-    same, ends = Replay(40, 0.0, 1, no_progress), np.array(["success"] * 38 + ["timeout"] * 2)
+    same, ends = Rerun(40, 0.0, 1, no_progress), np.array(["success"] * 38 + ["timeout"] * 2)
     other = replace(same, tolerance=0.05, alike=False)
     steps = np.full(40, 40)
     later = steps + 30 * (np.arange(40) < 15)
@@ -248,7 +248,7 @@ def test_where_bits_differ_outcomes_and_times_are_held_to_a_tolerance():
 )
 def test_the_tolerance_is_a_share_of_the_episodes(bad, tolerance, right):
     differ = np.arange(40) < bad
-    replay = Replay(40, tolerance, 1, no_progress)
+    replay = Rerun(40, tolerance, 1, no_progress)
     if right:
         assert "40" in replay._judged(differ, False, "episodes")
     else:
@@ -256,18 +256,26 @@ def test_the_tolerance_is_a_share_of_the_episodes(bad, tolerance, right):
             replay._judged(differ, False, "episodes")
 
 
-def test_a_run_from_before_test_csv_is_held_to_its_failures(copy):
+def test_tables_that_are_neither_there_nor_listed_are_missed(copy):
     run = copy / "rl"
-    remove_checked([run / name for name in ("test.csv", "test-best.csv")])
-    unlist({"metrics.csv", "validation.csv", "result.json"}, run)
-    assert wrong(run) == {"tables"}  # whoever records bits lists tables, too
-    assert remade(run, lambda made: made.pop("bits"))["tables"].agrees is None
-    assert wrong(run) == set()
-    kept = json.loads((run / "result.json").read_text())
+    remove_checked([run / "test.csv"])
+    unlist({"metrics.csv"}, run)
+    found = findings(run)
+    assert {name for name, finding in found.items() if finding.agrees is False} == {"tables", "replay"}
+    assert found["tables"].said == "not listed in SHA256SUMS: metrics.csv, test.csv"
+    assert found["replay"].said == "there is no test.csv"
+
+
+def test_a_success_that_is_a_failure_on_file_is_found_out(copy):
+    run = copy / "rl"
+    kept = json.loads((run / "result.json").read_text())["with_recovery"]
     succeeded = min(set(range(6)) - {failure["episode"] for failure in kept["failures"]})
-    kept["failures"].append({"episode": succeeded, "environment": "1", "outcome": "collision"})
-    (run / "result.json").write_text(json.dumps(kept))
-    assert wrong(run, tolerance=0.0) == {"result.json", "replay"}
+    failure = {"episode": succeeded, "environment": "1", "outcome": "collision"}
+    whole = json.loads((run / "result.json").read_text())
+    whole["with_recovery"]["failures"].append(failure)
+    (run / "result.json").write_text(json.dumps(whole))
+    forge_sums(run)
+    assert wrong(run) == {"result.json", "recovery"}
 
 
 @pytest.mark.parametrize("name", ["SHA256SUMS", "run.json", "config.json", "metrics.csv", "validation.csv", "test.csv"])

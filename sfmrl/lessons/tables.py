@@ -1,4 +1,4 @@
-"""An explanation as tables on standard output: the steps, and what each reward pays in all; 80 columns are enough."""
+"""An explanation as tables and lines of text: the steps, and what each reward pays in all; 80 columns are enough."""
 
 from typing import Any
 
@@ -6,10 +6,10 @@ from rich.table import Table
 from rich.text import Text
 
 from sfmrl.config import counted
-from sfmrl.console import WIDTH, out, plain_table, print_table, say_result
-from sfmrl.lessons.explain import Explanation, mark
+from sfmrl.lessons.explain import MARKS, Explanation, mark
+from sfmrl.study.sheets import plain_table
 
-MANY_DIGITS, FEW_DIGITS = 5, 4  # decimals of rewards, where there is room and where there is not
+DIGITS, FEWER_DIGITS = 5, 4  # decimals of rewards, and where there is no room for these
 HEADS = {
     "collision": "colli-\nsion",
     "discomfort": "dis-\ncomfort",
@@ -17,38 +17,34 @@ HEADS = {
     "distance": "dis-\ntance",
     "discount": "dis-\ncount",
 }
-LEGEND = {
-    "!": "too close",
-    "~": "stuck, or free again",
-    "^": "best action passed over, it may lead into a trap",
-    "*": "goal reached",
-    "X": "collision",
-    "T": "time is up",
-}
 
 
-def print_explanation(explanation: Explanation, shown: list[dict[str, Any]], title: str) -> None:
-    """The steps to show, what the marks mean, and the accounts."""
+def explanation_parts(
+    explanation: Explanation, shown: list[dict[str, Any]], title: str, columns: int
+) -> list[str | Table]:
+    """Return what to print in `columns`: the steps in `shown`, what their marks mean, and the accounts."""
     steps = explanation.steps
-    say_result(f"{title}, {explanation.name}: {steps[-1]['event'].split('; ')[0]} after {steps[-1]['time']:.2f} s")
-    print_table(_steps_table(explanation, shown))
-    marks = [mark(row["event"]) for row in shown]
-    meant = [f"{sign} {words}" for sign, words in LEGEND.items() if sign in marks]
-    say_result("; ".join([f"{len(shown)} of {counted(len(steps), 'step')}", *meant]))
-    say_result("gap: smallest in the step, m; push: resultant repulsion, m/s^2")
+    signs = {mark(row["event"]) for row in shown}
+    legend = [f"{sign} {words}" for sign, (_, words) in MARKS.items() if sign in signs]
+    notes = ["; ".join([f"{len(shown)} of {counted(len(steps), 'step')}", *legend])]
+    notes.append("gap: smallest in the step, m; push: resultant repulsion, m/s^2")
     if "value" in steps[0]:
-        say_result("value: of the action taken; next: of the best of the other 80")
-    say_result("")
-    print_table(_accounts_table(explanation))
-    say_result("plain: sums; below: discounted to the start; *: the reward of the steps above")
+        notes.append("value: of the action taken; next: of the best of the other 80")
+    return [
+        f"{title}, {explanation.name}: {steps[-1]['event'].split('; ')[0]} after {steps[-1]['time']:.2f} s",
+        _steps_table(explanation, shown, columns),
+        "\n".join([*notes, ""]),
+        _accounts_table(explanation),
+        "plain: sums; below: discounted to the start; *: the reward of the steps above",
+    ]
 
 
-def _steps_table(explanation: Explanation, shown: list[dict[str, Any]]) -> Table:
-    """A line a step; terms that the whole episode never pays are left out."""
+def _steps_table(explanation: Explanation, shown: list[dict[str, Any]], columns: int) -> Table:
+    """Return a line a step; terms that the whole episode never pays are left out."""
     valued = "value" in shown[0]
-    terms = [term for term in explanation.terms if len(explanation.terms) > 1 and explanation.own.any_of(term)]
-    taken = 21 + 14 * valued + (MANY_DIGITS + 4) * (1 + len(terms))
-    digits = MANY_DIGITS if taken <= max(out.width, WIDTH) else FEW_DIGITS
+    terms = [term for term in explanation.terms if len(explanation.terms) > 1 and explanation.own.pays(term)]
+    width = 21 + 14 * valued + (DIGITS + 4) * (1 + len(terms))
+    digits = DIGITS if width <= columns else FEWER_DIGITS
     heads = ("step", "time", "gap", "push", *("value", "next") * valued, *(HEADS.get(name, name) for name in terms))
     table = plain_table(*heads, "reward", first="right")
     for row in shown:
@@ -60,23 +56,22 @@ def _steps_table(explanation: Explanation, shown: list[dict[str, Any]]) -> Table
 
 
 def _accounts_table(explanation: Explanation) -> Table:
-    """What each reward pays in all: a line each, and before them the own reward's plain sums."""
-    accounts = explanation.accounts
+    """Return what each reward pays in all: a line each, and before them the own reward's plain sums."""
+    own, accounts = explanation.own, explanation.accounts
     names = dict.fromkeys(term for account in accounts for term in account.plain)
-    terms = [term for term in names if any(account.any_of(term) for account in accounts)]
+    terms = [term for term in names if any(account.pays(term) for account in accounts)]
     table = plain_table("", *(HEADS.get(name, name) for name in terms), "return")
-    own = explanation.own
     rows = [("plain*", own.plain, sum(own.plain.values()))]
     for account in accounts:
         rows.append((account.name + "*" * (account is own), account.discounted, account.discounted_return))
     for name, paid, whole in rows:
-        cells = [_signed(paid[term], MANY_DIGITS) if term in paid else Text("-", "dim") for term in terms]
-        table.add_row(name, *cells, _signed(whole, MANY_DIGITS), end_section=name == "plain*")
+        cells = [_signed(paid[term]) if term in paid else Text("-", "dim") for term in terms]
+        table.add_row(name, *cells, _signed(whole), end_section=name == "plain*")
     return table
 
 
-def _signed(number: float, digits: int) -> Text:
-    """A number with its sign, nothing but a 0 where there is nothing, and no "-0.0000"."""
+def _signed(number: float, digits: int = DIGITS) -> Text:
+    """Return a number with its sign; only a 0 for exactly 0, and no "-0.0000"."""
     if not number:
         return Text("0", "dim")
     return Text(f"{round(float(number), digits) + 0.0:+.{digits}f}")

@@ -1,6 +1,6 @@
-"""Is a run folder what a training of sfmrl leaves: its files by their digests, and its weights, played again.
+"""Check a run folder: its files by their digests, and its weights by playing test episodes again.
 
-Whoever computes the digests anew can deceive the first, but not the last.
+Whoever computes the digests anew can deceive the first check, but not the second.
 """
 
 from collections.abc import Callable, Iterator
@@ -8,23 +8,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sfmrl.config import ConfigError
-from sfmrl.files import SUMS, DamagedFile, digest_of, read_regular, read_sums
-from sfmrl.folders import BEST, DEMONSTRATIONS, MAP, TABLES, WEIGHTS, unfinished
-from sfmrl.lessons.run_replay import Disagreement, Replay, result, result_of
+from sfmrl.config import ConfigError, counted
+from sfmrl.evaluation import RATES
+from sfmrl.files import SUMS, DamagedFile, digest_of, read_regular, read_sums, read_table
+from sfmrl.folders import BEST, DEMONSTRATIONS, MAP, WEIGHTS, unfinished
+from sfmrl.lessons.rerun import Disagreement, Rerun, outcomes, result_of
 from sfmrl.own_code import UntrustedReward, reward_digest, trusted
 from sfmrl.progress import Progress
 from sfmrl.runs import CHECKPOINT, Run, open_run, versions
 from sfmrl.scenes import DRAWN
 from sfmrl.weights import load_weights
 
-ELSEWHERE = 0.05  # share of episodes that may end otherwise where this machine does not compute the bits of the run
+TOLERANCE = 0.05  # share of episodes that may end otherwise where this machine does not compute the bits of the run
 ODD = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError)  # what odd content leads its readers to
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at: whether it agrees (None: not judged), and what was found."""
+    """The result of one check: whether it agrees (None: not judged), and what was found."""
 
     what: str
     agrees: bool | None
@@ -40,14 +41,14 @@ def verify(
     *,
     trust_reward: bool = False,
 ) -> Iterator[Finding]:
-    """Findings on a run folder, one after another; of test episodes, or demonstrations, `episodes` are replayed.
+    """Yield findings on a run folder; at most `episodes` test episodes, or demonstrations, are played again.
 
     A reward that is Python code is run only with `trust_reward`, and if it is the file that the run was trained with.
-    `tolerance` is the share of them that may end otherwise: by default none, or `ELSEWHERE` where this machine does not
+    `tolerance` is the share of them that may end otherwise: by default none, or `TOLERANCE` where this machine does not
     compute the bits of the run. Raises ConfigError where there is no run folder.
     """
     if not (folder / "run.json").exists() and not (folder / SUMS).exists():
-        open_run(folder)  # which says so
+        open_run(folder)  # raises ConfigError, which says what it is instead
     yield _finding(SUMS, _sums, folder)
     try:
         run = open_run(folder)
@@ -63,31 +64,31 @@ def verify(
         run = replace(run, config=trusted(run.config, own.agrees is True))
     here = _finding("versions", _versions, run)
     yield here
-    alike = here.agrees is True
-    allowed = (0.0 if alike else ELSEWHERE) if tolerance is None else tolerance
-    replay = Replay(episodes, allowed, threads, progress, alike)
+    if tolerance is None:
+        tolerance = 0.0 if here.agrees else TOLERANCE
+    rerun = Rerun(episodes, tolerance, threads, progress, here.agrees is True)
     if run.kind == "il":
-        yield _finding("demonstrations", replay.demonstrations, run)
+        yield _finding("demonstrations", rerun.demonstrations, run)
     else:
-        yield from _reinforcement(run, replay)
+        yield from _reinforcement(run, rerun)
 
 
-def _versions(run: Run) -> str | Finding:
-    """Whether this machine computes the bits of the one that the run was made on, as far as a short test can tell."""
-    made, here = run.facts["versions"], versions()
-    if run.kind == "rl":  # whose test was played where the training ended
-        made = made | {name: value for name, value in result_of(run).items() if name == "bits"}
-    if all(made.get(name) == here[name] for name in ("sfmrl", "bits")):
-        return f"sfmrl {here['sfmrl']} and bits {here['bits']}, as the run: episodes must end as they did"
-    differ = ("sfmrl", "bits", "numpy", "processor")
-    found = [
-        f"{name} {made.get(name, 'unknown')}, here {here[name]}" for name in differ if made.get(name) != here[name]
-    ]
-    return Finding("versions", None, f"{'; '.join(found)}: some episodes may end otherwise here")
+def _reinforcement(run: Run, rerun: Rerun) -> Iterator[Finding]:
+    """Yield findings on what a reinforcement run has besides."""
+    whole = run.config.reinforcement.test_episodes
+    yield _finding("imitation", _began, run)
+    yield _finding("result.json", _rates, run)
+    yield _finding("replay", rerun.tests, run)
+    if (run.folder / "test-best.csv").exists():
+        yield _finding("best replay", rerun.tests, run, BEST, "test-best.csv")
+    if run.config.planner.recover and rerun.episodes >= whole:
+        yield _finding("recovery", rerun.recovery, run)
+    elif run.config.planner.recover:
+        yield Finding("recovery", None, f"its test was not played again; --episodes {whole} does that, too")
 
 
 def _finding(what: str, check: Callable[..., str | Finding], *given: Any) -> Finding:
-    """What a check says; that it does not agree where it raises, whatever a changed file has led it to."""
+    """Return what a check returns; a finding that it does not agree where it raises, whatever led it to."""
     try:
         said = check(*given)
         return said if isinstance(said, Finding) else Finding(what, True, said)
@@ -126,15 +127,13 @@ def _finished(run: Run) -> str:
     return f"sfmrl {run.kind}, variant {run.facts['variant']}, begun {run.facts['created'][:16]}, has ended"
 
 
-def _tables(run: Run) -> str | Finding:
-    """Every table that the run must have is listed in SHA256SUMS; runs of earlier versions list none."""
-    must, listed = ["metrics.csv"], set(read_sums(run.folder)) & {*TABLES, MAP}
+def _tables(run: Run) -> str:
+    """Every table that the run must have is listed in SHA256SUMS."""
+    must, listed = ["metrics.csv"], read_sums(run.folder)
     if run.kind == "rl":
         settings = run.config.reinforcement
         must += ["validation.csv", "test.csv", "result.json"]
         must += ["test-best.csv"] * settings.test_best + [MAP] * settings.environment.startswith(DRAWN)
-    if not listed and "bits" not in run.facts["versions"]:
-        return Finding("tables", None, f"an earlier version made the run: no digests of {', '.join(must)}")
     if missing := [name for name in must if name not in listed]:
         raise Disagreement(f"not listed in {SUMS}: {', '.join(missing)}")
     return f"{', '.join(must)} are listed in {SUMS}"
@@ -148,7 +147,7 @@ def _weights(run: Run) -> str:
 
 
 def _own_reward(run: Run, trust: bool) -> str | Finding:
-    """Whether a run's own reward is there and unchanged; not judged, and not to be run, without `trust`."""
+    """A run's own reward is there and unchanged; not judged, and not to be run, without `trust`."""
     name = run.config.reward.reward
     if run.facts["own_reward"] != reward_digest(run.config.reward):
         raise Disagreement(f"{name} is not the file that the run was trained with; put that one there")
@@ -159,23 +158,20 @@ def _own_reward(run: Run, trust: bool) -> str | Finding:
     return f"{name} is what the run was trained with"
 
 
-def _reinforcement(run: Run, replay: Replay) -> Iterator[Finding]:
-    folder, config, settings = run.folder, run.config, run.config.reinforcement
-    yield _finding("imitation", _began, run)
-    yield _finding("result.json", result, run)
-    yield _finding("replay", replay.tests, run)
-    if (folder / "test-best.csv").exists():
-        yield _finding("best replay", replay.tests, run, BEST, "test-best.csv")
-    if config.planner.recover:
-        if replay.episodes >= settings.test_episodes:
-            yield _finding("recovery", replay.with_recovery, run)
-        else:
-            whole = settings.test_episodes
-            yield Finding("recovery", None, f"its test was not played again; --episodes {whole} does that, too")
+def _versions(run: Run) -> str | Finding:
+    """This machine computes the bits of the one that the run was made on, as far as a short test can tell."""
+    made, here = run.facts["versions"], versions()
+    if run.kind == "rl" and "bits" in (result := result_of(run)):  # of the machine on which the training ended
+        made = made | {"bits": result["bits"]}
+    if all(made.get(name) == here[name] for name in ("sfmrl", "bits")):
+        return f"sfmrl {here['sfmrl']} and bits {here['bits']}, as the run: episodes must end as they did"
+    differ = [name for name in ("sfmrl", "bits", "numpy", "processor") if made.get(name) != here[name]]
+    said = "; ".join(f"{name} {made.get(name, 'unknown')}, here {here[name]}" for name in differ)
+    return Finding("versions", None, f"{said}: some episodes may end otherwise here")
 
 
 def _began(run: Run) -> str | Finding:
-    """With which demonstrations a reinforcement began."""
+    """A reinforcement began with the demonstrations of the imitation run that it names."""
     source = run.imitation
     if weights := run.facts.get("weights"):
         return f"none: it went on from {Path(weights['file']).name}, SHA-256 {weights['sha256']}"
@@ -186,3 +182,17 @@ def _began(run: Run) -> str | Finding:
     if read_sums(source).get(DEMONSTRATIONS) != run.facts["demonstrations"]:
         raise Disagreement(f"it went on from other demonstrations than {source.name} holds")
     return f"it went on from the demonstrations of {source.name}"
+
+
+def _rates(run: Run) -> str:
+    """The rates in result.json are those of its tables and of its lists of failures."""
+    result, whole = result_of(run), run.config.reinforcement.test_episodes
+    best, recovering = result.get("best_validation"), result.get("with_recovery")
+    for part, name in ((result, "test.csv"), (best, "test-best.csv"), (recovering, "")):
+        sources = {"its failures": outcomes(part, whole)} if part else {}
+        if part and name and (run.folder / name).exists():
+            sources[name] = [row["outcome"] for row in read_table(run.folder / name)]
+        for source, ends in sources.items():
+            if len(ends) != whole or any(round(part[rate] * whole) != ends.count(rate) for rate in RATES):
+                raise Disagreement(f"its rates are not those of {counted(whole, 'episode')} in {source}")
+    return ", ".join(f"{name} {result[name]:.3f}" for name in RATES)

@@ -1,0 +1,123 @@
+"""Play again what a run's numbers come from: its network's test episodes, or ORCA's demonstrations."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sfmrl.config import Reward, counted
+from sfmrl.demonstrations import load_demonstrations
+from sfmrl.episodes import Record, play_episodes
+from sfmrl.evaluation import episode_rows, evaluation_record
+from sfmrl.files import json_object, read_listed, read_table
+from sfmrl.folders import DEMONSTRATIONS, WEIGHTS
+from sfmrl.lookahead import SarlPolicy
+from sfmrl.policies import orca_policy
+from sfmrl.progress import Progress
+from sfmrl.recovery import with_recovery
+from sfmrl.runs import Run
+from sfmrl.scenes import sample_scenes, thinned
+from sfmrl.training import EVALUATION_SEED
+from sfmrl.weights import load_weights
+
+TIME_TOLERANCE = 0.05  # by how much times may differ, in half of the episodes, where the bits differ
+
+
+class Disagreement(Exception):
+    """What does not agree, in words."""
+
+
+@dataclass(frozen=True)
+class Rerun:
+    """Plays a run's episodes again, at most `episodes`, of which the share `tolerance` may end otherwise.
+
+    `alike` says whether this machine computes the bits of the run. If so, an episode with another number of steps ends
+    otherwise, too; if not, times are held to `TIME_TOLERANCE`. The methods return what they found, in words, or raise
+    Disagreement.
+    """
+
+    episodes: int
+    tolerance: float
+    threads: int
+    progress: Progress
+    alike: bool = True
+
+    def demonstrations(self, run: Run) -> str:
+        """Compare the demonstrations on file with ORCA's own in the same scenes."""
+        settings, simulation = run.config.imitation, run.config.simulation
+        stored = load_demonstrations(run.folder / DEMONSTRATIONS, simulation)
+        whole = counted(len(stored.steps), "demonstration")
+        if len(stored.steps) != settings.episodes:
+            raise Disagreement(f"it holds {whole}, config.json asks for {settings.episodes}")
+        count = min(self.episodes, settings.episodes)
+        scenes = sample_scenes(settings.environment, count, run.config.seed, phase="imitation")
+        scenes = thinned(scenes, run.config.sparse, run.config.seed)
+        again = play_episodes(scenes, orca_policy, Reward(), simulation)  # whose paths depend on no reward
+        stored = stored.take(np.arange(count))
+        differ = self._differ(stored.outcome, again.outcome, stored.steps, again.steps)
+        exact = np.array_equal(stored.position[:, : again.position.shape[1]], again.position, equal_nan=True)
+        return self._judged(differ, exact, f"of {whole}, played by ORCA again,")
+
+    def tests(self, run: Run, weights: str = WEIGHTS, name: str = "test.csv") -> str:
+        """Compare test episodes of the network alone with their table."""
+        record = self._play(run, weights)
+        stored = read_table(run.folder / name)[: len(record.steps)]
+        again = [{key: str(value) for key, value in row.items()} for row in episode_rows(record)]
+        outcome, steps = (np.array([row[key] for row in stored]) for key in ("outcome", "steps"))
+        differ = self._differ(outcome, record.outcome, steps.astype(int), record.steps)
+        whole = counted(run.config.reinforcement.test_episodes, "test episode")
+        return self._judged(differ, stored == again, f"of {whole}, played by {weights} alone,")
+
+    def recovery(self, run: Run) -> str:
+        """Compare test episodes of the network with recovery with their failures, which alone are on file."""
+        record, whole = self._play(run, WEIGHTS, recover=True), run.config.reinforcement.test_episodes
+        stored = outcomes(result_of(run)["with_recovery"], whole)[: len(record.steps)]
+        return self._judged(np.array(stored) != record.outcome, False, f"of {counted(whole, 'test episode')}")
+
+    def _play(self, run: Run, weights: str, recover: bool = False) -> Record:
+        """Play test episodes as a training plays them at its end."""
+        network, _ = load_weights(run.folder / weights)
+        policy, settings = SarlPolicy(network, run.config, self.threads), run.config.reinforcement
+        return evaluation_record(
+            with_recovery(policy, run.config.planner) if recover else policy,
+            environment=settings.test_environment,
+            episodes=min(self.episodes, settings.test_episodes),
+            seed=EVALUATION_SEED,
+            simulation=run.config.simulation,
+            progress=self.progress,
+        )
+
+    def _differ(self, outcome: np.ndarray, outcome_again: np.ndarray, steps: np.ndarray, steps_again: np.ndarray):
+        """Return which episodes (n,) ended otherwise; raises Disagreement where times differ too much."""
+        differ = outcome != outcome_again
+        if self.alike:
+            return differ | (steps != steps_again)
+        off = np.abs(steps_again / np.maximum(steps, 1) - 1)[~differ]
+        if off.size and np.median(off) > TIME_TOLERANCE:
+            raise Disagreement(f"half of the episodes take a time that differs by more than {TIME_TOLERANCE:.0%}")
+        return differ
+
+    def _judged(self, differ: np.ndarray, exact: bool, what: str) -> str:
+        """Return what was found where `differ` (n,) marks the episodes that ended otherwise; raises Disagreement."""
+        count, bad = len(differ), np.flatnonzero(differ)
+        if not len(bad):
+            return f"{count} {what} end as they did" + (", to the same numbers" if exact else "")
+        listed = ", ".join(map(str, bad[:8])) + (", ..." if len(bad) > 8 else "")
+        said = f"{len(bad)} of the first {count} {what} end otherwise ({listed}); {self.tolerance:.0%} of them may"
+        if len(bad) > math.ceil(round(self.tolerance * count, 6)):
+            raise Disagreement(said)
+        return said
+
+
+def result_of(run: Run) -> dict[str, Any]:
+    """Return what result.json holds."""
+    return json_object(read_listed(run.folder / "result.json"))
+
+
+def outcomes(part: dict[str, Any], episodes: int) -> list[str]:
+    """Return the outcome of every test episode that follows from a result's list of failures."""
+    ends = ["success"] * episodes
+    for failure in part["failures"]:
+        ends[failure["episode"]] = failure["outcome"]
+    return ends
