@@ -37,19 +37,20 @@ def say_result(text: str) -> None:
     out.print(text, markup=False, soft_wrap=True)
 
 
-def say_finding(what: str, good: bool | None, said: str) -> None:
-    """On standard output: something that was looked at, and whether it is as it should be (None: that is not judged).
+def say_finding(finding: Any) -> None:
+    """Print a `lessons.Finding` on standard output, and what helps unless all is well.
 
-    A line each where it is read by a program; in a terminal, long ones are broken within their column.
+    A line each where a program reads it; in a terminal, long ones are broken within their column.
     """
-    word, style = {True: ("ok", "green"), False: ("not ok", "bold red"), None: ("-", "dim")}[good]
+    word, style = {True: ("ok", "green"), False: ("not ok", "bold red"), None: ("-", "dim")}[finding.ok]
+    said = f"{finding.said}; {finding.remedy}" if finding.remedy and not finding.ok else finding.said
     if not out.is_terminal:
-        say_result(f"{word:7}{what:15} {said}")
+        say_result(f"{word:7}{finding.what:15} {said}")
         return
     table = Table.grid(padding=(0, 1, 0, 0))
     for width in (6, 15, None):
         table.add_column(width=width)
-    table.add_row(Text(word, style), Text(what, "bold"), Text(said))
+    table.add_row(Text(word, style), Text(finding.what, "bold"), Text(said))
     out.print(table)
 
 

@@ -94,10 +94,10 @@ def verify(
     found = []
     how = (episodes, tolerance, use_threads(threads), show_progress(err))
     for finding in findings_of(run, *how, trust_reward=trust_reward):
-        say_finding(finding.what, finding.agrees, finding.said)
+        say_finding(finding)
         found.append(finding)
-    wrong = [finding.what for finding in found if finding.agrees is False]
-    unknown = [finding.what for finding in found if finding.agrees is None]
+    wrong = [finding.what for finding in found if finding.ok is False]
+    unknown = [finding.what for finding in found if finding.ok is None]
     checked = len(found) - len(unknown)
     aside = f"; not judged: {', '.join(unknown)}" if unknown else ""
     if wrong:
@@ -115,10 +115,9 @@ def doctor() -> None:
     from sfmrl.lessons.doctor import examine
 
     ill = []
-    for check in examine(out):
-        remedy = f"; {check.remedy}" if check.remedy and not check.good else ""
-        say_finding(check.what, check.good, check.said + remedy)
-        ill += [check.what] if check.good is False else []
+    for finding in examine(out):
+        say_finding(finding)
+        ill += [finding.what] if finding.ok is False else []
     if ill:
         say(f"not ok: {', '.join(ill)}; what helps stands beside it")
         raise typer.Exit(1)

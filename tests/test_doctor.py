@@ -10,10 +10,10 @@ from rich.console import Console
 
 import sfmrl as package
 from sfmrl import bits, episodes, teaching_commands
-from sfmrl.lessons import doctor
+from sfmrl.lessons import Finding, doctor
 
 
-def looked_at(**how) -> dict[str, doctor.Check]:
+def looked_at(**how) -> dict[str, Finding]:
     console = Console(**({"force_terminal": True, "width": 120, "height": 40, "color_system": "256"} | how))
     return {check.what: check for check in doctor.examine(console)}
 
@@ -34,23 +34,23 @@ def test_a_package_that_is_missing_is_named_with_what_to_type(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.delitem(sys.modules, "sfmrl.network", raising=False)
     found = looked_at()
-    assert found["torch"].good is False
+    assert found["torch"].ok is False
     assert found["torch"].remedy == "pip install --force-reinstall torch"
-    assert found["numpy"].good is True
-    assert found["two threads"].good is True  # all that plays does without
+    assert found["numpy"].ok is True
+    assert found["two threads"].ok is True  # all that plays does without
 
 
 def test_the_terminal_s_limits_are_told_and_are_no_failure():
-    assert looked_at(force_terminal=False)["terminal"].good is None
+    assert looked_at(force_terminal=False)["terminal"].ok is None
     narrow = looked_at(width=60)["terminal"]
-    assert narrow.good is None
+    assert narrow.ok is None
     assert "80 x 24" in narrow.remedy
-    assert looked_at()["terminal"].good is True
+    assert looked_at()["terminal"].ok is True
     ascii_only = SimpleNamespace(
         is_terminal=True, is_dumb_terminal=False, width=80, height=24, color_system=None, encoding="ascii"
     )
     found = doctor._terminal(ascii_only)
-    assert found.good is None
+    assert found.ok is None
     assert "ASCII" in found.remedy
     assert "colours: none" in found.said
 
@@ -66,15 +66,15 @@ def test_orca_that_steers_badly_and_bits_that_depend_on_threads_are_found(monkey
     monkeypatch.setattr(episodes, "play_episodes", play_otherwise)
     monkeypatch.setattr(package, "play", lambda scenes, policy: SimpleNamespace(outcome=torch.zeros(16).numpy()))
     found = looked_at()
-    assert (found["ORCA"].good, found["two threads"].good) == (False, False)
+    assert (found["ORCA"].ok, found["two threads"].ok) == (False, False)
     assert "--threads 1" in found["two threads"].remedy
 
 
 def test_a_failure_is_a_line_with_its_remedy_and_exit_code_1(monkeypatch, capsys):
-    def breaks() -> doctor.Check:
+    def breaks() -> Finding:
         return str(1 / 0)
 
-    monkeypatch.setattr(doctor, "_orca", lambda: doctor.Check("ORCA", False, "it is broken", "mend it"))
+    monkeypatch.setattr(doctor, "_orca", lambda: Finding("ORCA", False, "it is broken", "mend it"))
     monkeypatch.setattr(doctor, "_processor", breaks)
     with pytest.raises(teaching_commands.typer.Exit) as end:
         teaching_commands.doctor()

@@ -160,7 +160,7 @@ def test_a_run_killed_at_any_file_operation_goes_on_to_the_same_bits(place, tmp_
         assert ".tmp" not in said
         assert contents(folder / name) == whole, (number, operations[-1:])
         found = list(verify(folder / name, 1, None, 1, no_progress))
-        assert [finding for finding in found if not finding.agrees] == [], number
+        assert [finding for finding in found if not finding.ok] == [], number
 
 
 def full_disk() -> None:
@@ -282,13 +282,13 @@ def test_no_flipped_bit_in_a_run_s_files_goes_unnoticed(laid_out, name):
     reads = readers(folder, il, name)
     right = [outcome(read) for read in reads]
     assert "refused" not in right
-    assert next(verify(run, 1, None, 1, no_progress)).agrees
+    assert next(verify(run, 1, None, 1, no_progress)).ok
     try:
         for place, bit in flips(run / name, 200):
             data = bytearray(whole)
             data[place] ^= 1 << bit
             (run / name).write_bytes(data)
-            assert next(verify(run, 1, None, 1, no_progress)).agrees is False, (place, bit)
+            assert next(verify(run, 1, None, 1, no_progress)).ok is False, (place, bit)
             for read, expected in zip(reads, right, strict=True):
                 assert outcome(read) in (expected, "refused"), (place, bit)
         list(verify(run, 1, None, 1, no_progress))  # to its end
@@ -309,12 +309,12 @@ def test_flipped_bits_in_a_run_of_an_earlier_version_are_no_traceback(laid_out, 
     sums = {key: digest for key, digest in read_sums(run).items() if key not in (*TABLES, "map.txt")}
     (run / SUMS).write_text("".join(f"{digest}  {key}\n" for key, digest in sums.items()))
     found = list(verify(run, 1, None, 1, no_progress))
-    assert {finding.what for finding in found if finding.agrees is None} == {
+    assert {finding.what for finding in found if finding.ok is None} == {
         "tables",
         "versions",
         "imitation",
     }
-    assert all(finding.agrees is not False for finding in found)
+    assert all(finding.ok is not False for finding in found)
     assert row(tmp_path) == row(laid_out[0])
     whole = (run / name).read_bytes()
     for place, bit in flips(run / name, 100):

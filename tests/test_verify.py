@@ -15,8 +15,9 @@ import pytest
 from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import RATES
 from sfmrl.files import csv_text, remove_checked, unlist
+from sfmrl.lessons import Finding
 from sfmrl.lessons.rerun import Disagreement, Rerun
-from sfmrl.lessons.verify import Finding, verify
+from sfmrl.lessons.verify import verify
 from sfmrl.network import ValueNetwork
 from sfmrl.progress import no_progress
 from sfmrl.runs import create_run
@@ -54,7 +55,7 @@ def findings(folder: Path, episodes: int = 6, tolerance: float | None = None, **
 
 
 def wrong(folder: Path, **how) -> set[str]:
-    return {name for name, finding in findings(folder, **how).items() if finding.agrees is False}
+    return {name for name, finding in findings(folder, **how).items() if finding.ok is False}
 
 
 def rewrite(path: Path, change: Callable[[str], str]) -> None:
@@ -78,7 +79,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 
 def test_what_sfmrl_left_agrees(handed_in):
     found = findings(handed_in / "rl")
-    assert {name for name, finding in found.items() if not finding.agrees} == set()
+    assert {name for name, finding in found.items() if not finding.ok} == set()
     assert {"replay", "best replay", "recovery", "tables", "imitation"} <= set(found)
     assert "to the same numbers" in found["replay"].said
     assert wrong(handed_in / "il") == set()
@@ -88,7 +89,7 @@ def test_what_sfmrl_left_agrees(handed_in):
 def test_fewer_episodes_leave_the_recovery_s_test_untold(handed_in):
     found = findings(handed_in / "rl", episodes=3)
     assert found["replay"].said.startswith("3 of 6 test episodes")
-    assert found["recovery"].agrees is None
+    assert found["recovery"].ok is None
     assert "--episodes 6" in found["recovery"].said
 
 
@@ -180,16 +181,16 @@ def test_a_reward_in_a_python_file_is_run_only_if_trusted_and_unchanged(copy, tm
     forge_sums(run)
     found = findings(run)
     assert not mark.exists()
-    unjudged = {name for name, finding in found.items() if finding.agrees is None}
+    unjudged = {name for name, finding in found.items() if finding.ok is None}
     assert unjudged == {"reward", "replay", "best replay", "recovery"}
     assert "was not run, which leaves unchecked that the network does what test.csv" in found["reward"].said
     trusting = findings(run, trust_reward=True)
     assert mark.exists()
-    assert {trusting[name].agrees for name in unjudged} == {True}
+    assert {trusting[name].ok for name in unjudged} == {True}
     mark.unlink()
     own.write_text(own.read_text() + "# changed\n")
     changed = findings(run, trust_reward=True)
-    assert (changed["reward"].agrees, changed["replay"].agrees) == (False, None)
+    assert (changed["reward"].ok, changed["replay"].ok) == (False, None)
     assert not mark.exists()
 
 
@@ -217,19 +218,19 @@ def remade(run: Path, change: Callable[[dict], object], tested: bool = True) -> 
 )
 def test_a_run_from_a_machine_of_other_bits_is_told_and_allowed_for(copy, change, named):
     found = remade(copy / "rl", change)
-    assert {name for name, finding in found.items() if finding.agrees is False} == set()
-    assert found["versions"].agrees is None
+    assert {name for name, finding in found.items() if finding.ok is False} == set()
+    assert found["versions"].ok is None
     assert named in found["versions"].said
 
 
 def test_equal_bits_make_the_numbers_equal_whatever_the_versions(copy):
     found = remade(copy / "rl", lambda made: made.update(numpy="1.0", processor="another"))
-    assert found["versions"].agrees is True
+    assert found["versions"].ok is True
 
 
 def test_a_training_that_ended_on_this_machine_is_held_to_its_bits_wherever_it_began(copy):
     found = remade(copy / "rl", lambda made: made.update(bits="0123456789ab"), tested=False)
-    assert found["versions"].agrees is True
+    assert found["versions"].ok is True
 
 
 def test_where_bits_differ_outcomes_and_times_are_held_to_a_tolerance():
@@ -261,7 +262,7 @@ def test_tables_that_are_neither_there_nor_listed_are_missed(copy):
     remove_checked([run / "test.csv"])
     unlist({"metrics.csv"}, run)
     found = findings(run)
-    assert {name for name, finding in found.items() if finding.agrees is False} == {"tables", "replay"}
+    assert {name for name, finding in found.items() if finding.ok is False} == {"tables", "replay"}
     assert found["tables"].said == "not listed in SHA256SUMS: metrics.csv, test.csv"
     assert found["replay"].said == "there is no test.csv"
 

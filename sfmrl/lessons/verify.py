@@ -4,7 +4,7 @@ Whoever computes the digests anew can deceive the first check, but not the secon
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from sfmrl.config import ConfigError, counted
 from sfmrl.evaluation import RATES
 from sfmrl.files import SUMS, DamagedFile, digest_of, read_regular, read_sums, read_table
 from sfmrl.folders import BEST, DEMONSTRATIONS, MAP, WEIGHTS, unfinished
+from sfmrl.lessons import Finding
 from sfmrl.lessons.rerun import Disagreement, Rerun, outcomes, result_of
 from sfmrl.own_code import UntrustedReward, reward_digest, trusted
 from sfmrl.progress import Progress
@@ -21,15 +22,6 @@ from sfmrl.weights import load_weights
 
 TOLERANCE = 0.05  # share of episodes that may end otherwise where this machine does not compute the bits of the run
 ODD = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError)  # what odd content leads its readers to
-
-
-@dataclass(frozen=True)
-class Finding:
-    """The result of one check: whether it agrees (None: not judged), and what was found."""
-
-    what: str
-    agrees: bool | None
-    said: str
 
 
 def verify(
@@ -61,12 +53,12 @@ def verify(
     if ":" in run.config.reward.reward:
         own = _finding("reward", _own_reward, run, trust_reward)
         yield own
-        run = replace(run, config=trusted(run.config, own.agrees is True))
+        run = replace(run, config=trusted(run.config, own.ok is True))
     here = _finding("versions", _versions, run)
     yield here
     if tolerance is None:
-        tolerance = 0.0 if here.agrees else TOLERANCE
-    rerun = Rerun(episodes, tolerance, threads, progress, here.agrees is True)
+        tolerance = 0.0 if here.ok else TOLERANCE
+    rerun = Rerun(episodes, tolerance, threads, progress, here.ok is True)
     if run.kind == "il":
         yield _finding("demonstrations", rerun.demonstrations, run)
     else:
