@@ -23,7 +23,7 @@ from sfmrl import (
 from sfmrl.config import ConfigError
 from sfmrl.console import say, say_result
 from sfmrl.files import DamagedFile
-from sfmrl.greeting import greeting
+from sfmrl.folders import as_words, finished, run_folders, unfinished
 from sfmrl.stopping import Interrupted
 
 INTERRUPTED = 130
@@ -53,8 +53,25 @@ def start(
         say_result(greeting())
 
 
+def greeting() -> str:
+    """Return what to type next, with the newest finished run, or else a model, as the policy."""
+    folders = run_folders()
+    policy = next((as_words(folder) for folder in folders if finished(folder)), "sarl-sfm6")
+    lines = [f"sfmrl {__version__} teaches a robot to cross a crowd."]
+    if folders and not finished(folders[0]):
+        lines.append(unfinished(folders[0]))
+    commands = {
+        "sfmrl il && sfmrl rl --reward sfm": "train a robot (a minute or two)",
+        f"sfmrl eval {policy}": "test it on 500 episodes",
+        f"sfmrl ascii-render {policy}": "watch it",
+        "sfmrl --help": "all commands",
+    }
+    width = max(map(len, commands))
+    return "\n".join([*lines, *(f"  {command:{width}}  {words}" for command, words in commands.items())])
+
+
 def main() -> None:
-    """The `sfmrl` command: every expected failure is one line on standard error."""
+    """Run the `sfmrl` command; every expected failure is one line on standard error."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is imported, see `sfmrl.fast.blas`
     try:
         code = app(standalone_mode=False)

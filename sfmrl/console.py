@@ -12,13 +12,15 @@ from rich.table import Table
 from rich.text import Text
 
 from sfmrl.config import ConfigError
+from sfmrl.files import regular
 
-WIDTH = 80  # columns of the metrics' table, at least
+WIDTH = 80  # columns of a table, at least
+MANY = 7  # rows of metrics; more have a line each
 
 
 class _Console(Console):
     def on_broken_pipe(self) -> None:
-        """The reader of a pipe has seen enough: that is no failure."""
+        """End quietly when the reader of a pipe has seen enough."""
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise typer.Exit(0)
 
@@ -28,12 +30,12 @@ err = _Console(stderr=True, highlight=False)
 
 
 def say(text: str) -> None:
-    """A line on standard error."""
+    """Print a line on standard error."""
     err.print(text, markup=False, soft_wrap=True)
 
 
 def say_result(text: str) -> None:
-    """Lines on standard output, as they are."""
+    """Print lines on standard output, as they are."""
     out.print(text, markup=False, soft_wrap=True)
 
 
@@ -63,15 +65,14 @@ def replay_command(
     versus: str | None = None,
     trust_reward: bool = False,
 ) -> str:
-    """What to type to see a test episode; `place` is --environment or --map and its value, None if the policy's."""
+    """Return what to type to see a test episode; `place` is --environment or --map and its value, if any is needed."""
     words = ["sfmrl", "ascii-render", *([policy] if policy else []), *(["--versus", versus] if versus else [])]
     words += [*(place or ()), "--seed", seed, "--episode", episode, *as_options(settings)]
-    words += ["--trust-reward"] if trust_reward else []
-    return shlex.join(map(str, words))
+    return shlex.join(map(str, words + ["--trust-reward"] * trust_reward))
 
 
 def as_options(settings: dict[str, Any]) -> list[str]:
-    """Settings, nested as `config.override` takes them, as the words to type."""
+    """Return settings, nested as `config.override` takes them, as the words to type."""
     words = []
     for name, value in settings.items():
         flag = name.replace("_", "-")
@@ -85,40 +86,41 @@ def as_options(settings: dict[str, Any]) -> list[str]:
 
 
 def print_metrics(result: dict[str, Any], title: str) -> None:
-    """Metrics as a table: a row in all, and one for each environment."""
+    """Print metrics as a table: a row in all, and one for each environment."""
     if "recovered" in result:
         title += f", with recovery (stuck in {result['recovered']:.3f} of the episodes)"
-    table = Table(title=Text(title), title_justify="left")
-    for heading in ("", "success", "collision", "time-out", "nav. time", "total reward", "episodes"):
-        table.add_column(heading, justify="right" if heading else "left")
     rows = {"all": result, **{f"env. {name}": row for name, row in result.get("environments", {}).items()}}
-    if len(rows) > 7:  # as of maps, whose names are longer, too
-        _print_many({name.removeprefix("env. map-"): row for name, row in rows.items()}, title)
-        return
-    for name, row in rows.items():
-        rates = [f"{row[rate]:.3f} [dim]{low:.2f}-{high:.2f}[/dim]" for rate, (low, high) in row["intervals"].items()]
-        table.add_row(name, *rates, *_rest(row))
+    table = _table_of_many(rows, title) if len(rows) > MANY else _metrics_table(rows, title)
     print_table(table)
 
 
-def _print_many(rows: dict[str, dict[str, Any]], title: str) -> None:
-    """Print a line a row, with the interval of success alone."""
+def _metrics_table(rows: dict[str, dict[str, Any]], title: str) -> Table:
+    """Return metrics with the interval of each rate."""
+    table = Table(title=Text(title), title_justify="left")
+    for heading in ("", "success", "collision", "time-out", "nav. time", "total reward", "episodes"):
+        table.add_column(heading, justify="right" if heading else "left")
+    for name, row in rows.items():
+        rates = [f"{row[rate]:.3f} [dim]{low:.2f}-{high:.2f}[/dim]" for rate, (low, high) in row["intervals"].items()]
+        table.add_row(name, *rates, _seconds(row), f"{row['total_reward']:.4f}", str(row["episodes"]))
+    return table
+
+
+def _table_of_many(rows: dict[str, dict[str, Any]], title: str) -> Table:
+    """Return metrics, as of the maps, whose names are longer, with a line a row and the interval of success alone."""
     from sfmrl.study.sheets import plain_table
 
     heads = ("", "success", "95 %", "collision", "time-out", "nav. time", "total\nreward")
     table = plain_table(*heads, gap=1, title=title)
     for name, row in rows.items():
         low, high = row["intervals"]["success"]
-        interval = f"[dim]{low:.2f}-{high:.2f}[/dim]"
-        rates = [f"{row[rate]:.3f}" for rate in ("success", "collision", "timeout")]
-        table.add_row(name, rates[0], interval, *rates[1:], *_rest(row)[:2])
-    print_table(table)
+        success, *others = (f"{row[rate]:.3f}" for rate in ("success", "collision", "timeout"))
+        cells = (success, f"[dim]{low:.2f}-{high:.2f}[/dim]", *others, _seconds(row), f"{row['total_reward']:.4f}")
+        table.add_row(name.removeprefix("env. map-"), *cells)
+    return table
 
 
-def _rest(row: dict[str, Any]) -> tuple[str, str, str]:
-    """What follows the rates: navigation time, total reward, episodes."""
-    time = "-" if row["navigation_time"] is None else f"{row['navigation_time']:.2f} s"
-    return time, f"{row['total_reward']:.4f}", str(row["episodes"])
+def _seconds(row: dict[str, Any]) -> str:
+    return "-" if row["navigation_time"] is None else f"{row['navigation_time']:.2f} s"
 
 
 def print_table(table: Table) -> None:
@@ -127,20 +129,20 @@ def print_table(table: Table) -> None:
 
 
 def print_sheet(sheet: Any) -> None:
-    """A `reports.Sheet` as a table under its title, and an empty line."""
+    """Print a `sheets.Sheet` as a table under its title, and an empty line."""
     out.print(Text(sheet.title, "italic"))
     print_table(sheet.table())
     out.print()
 
 
 def new_file(path: Path | None, flag: str, overwrite: bool) -> None:
-    """Raises ConfigError where a file that an option names cannot be written, or is there already."""
+    """Check that a file that an option names can be written; raises ConfigError or DamagedFile where it cannot.
+
+    Without `overwrite`, it must not be there yet.
+    """
     if path is None:
         return
-    if path.exists() and not path.is_file():
-        what = "a folder" if path.is_dir() else "not a regular file"
-        raise ConfigError(f"--{flag} {path} is {what}; name a file")
-    if path.exists() and not overwrite:
+    if regular(path).exists() and not overwrite:
         raise ConfigError(f"{path} is there already; name another --{flag}, or replace it with --overwrite")
     if not path.parent.is_dir():
         raise ConfigError(f"there is no folder {path.parent} for --{flag} {path.name}")

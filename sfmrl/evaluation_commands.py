@@ -1,13 +1,14 @@
 """The commands that test policies: `sfmrl eval`, `sfmrl compare`, `sfmrl models`."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from sfmrl import options
-from sfmrl.config import ConfigError, counted, suggest
+from sfmrl.config import Config, ConfigError, counted, suggest
 from sfmrl.console import err, new_file, print_metrics, print_sheet, replay_command, say, say_result
 from sfmrl.files import DamagedFile, csv_text, write_text
 from sfmrl.options import option, settings_options
@@ -35,38 +36,61 @@ def evaluate_command(
     settings: dict[str, Any],
 ) -> None:
     """Test a policy: success, collisions, time-outs, navigation time, total reward."""
-    from sfmrl.evaluation import episode_rows, evaluation_record, metrics
-    from sfmrl.progress import show_progress
-    from sfmrl.scenes import label
+    from sfmrl.evaluation import episode_rows, metrics
 
     new_file(csv, "csv", overwrite)
     asked = drawn(map_file, environment)
     chosen, name, config = choose(policy, settings, threads, trust_reward)
     environment = config.reinforcement.test_environment if asked is None else asked
-    how = {"environment": environment, "episodes": episodes, "seed": seed, "people": humans}
-    how |= {"people_speed": human_speed, "reward": config.reward, "simulation": config.simulation}
-    given, crowd = among(humans, human_speed)
-    where = f"map {map_file}" if map_file else f"environment {label(environment)}"
-    title = f"{name}, {where}{crowd}, {counted(episodes, 'episode')}, seed {seed}"
-    record = evaluation_record(chosen, progress=show_progress(err), **how)
+    test = {"environment": environment, "episodes": episodes, "seed": seed}
+    (record,) = _play([chosen], config, **test, people=humans, people_speed=human_speed)
     result = metrics(record, chosen)
+    given, crowd = among(humans, human_speed)
     if csv:
         write_text(csv, csv_text(episode_rows(record)))
     if as_json:
         say_result(json.dumps({"policy": name, "environment": environment, "seed": seed} | given | result, indent=2))
         return
-    print_metrics(result, title)
+    print_metrics(result, f"{name}, {_title(map_file, environment, crowd, episodes, seed)}")
     if result["failures"]:
-        failed = [failure["episode"] for failure in result["failures"]]
-        listed = ", ".join(map(str, failed[:12])) + (", ..." if len(failed) > 12 else "")
-        place = ("--map", map_file) if map_file else ("--environment", environment)
-        if asked is None and environment != label(environment):
-            place = None  # a run has its map with it
-        see = replay_command(policy, place, seed, failed[0], given | settings, trust_reward=trust_reward)
-        say(f"{counted(len(failed), 'episode')} ({listed}) failed; see one: {see}")
-        no_way = [str(failure["episode"]) for failure in result["failures"] if not failure["solvable"]]
-        if no_way:
-            say(f"unsolvable, the squares leave no way to the goal: {', '.join(no_way[:12])}")
+        first, place = result["failures"][0]["episode"], _place(map_file, asked, environment)
+        see = replay_command(policy, place, seed, first, given | settings, trust_reward=trust_reward)
+        _say_failures(result["failures"], see)
+
+
+def _play(policies: Sequence[Any], config: Config, **test: Any) -> list[Any]:
+    """Return the records of policies that play the same test episodes, under a config's simulation and reward."""
+    from sfmrl.evaluation import evaluation_record
+    from sfmrl.progress import show_progress
+
+    test |= {"simulation": config.simulation, "reward": config.reward, "progress": show_progress(err)}
+    return [evaluation_record(policy, **test) for policy in policies]
+
+
+def _title(map_file: Path | None, environment: str, crowd: str, episodes: int, seed: int) -> str:
+    from sfmrl.scenes import label
+
+    where = f"map {map_file}" if map_file else f"environment {label(environment)}"
+    return f"{where}{crowd}, {counted(episodes, 'episode')}, seed {seed}"
+
+
+def _place(map_file: Path | None, asked: str | None, environment: str) -> tuple[str, Any] | None:
+    """Return the option that leads to the environment; None for the map that a run was trained on and has with it."""
+    from sfmrl.scenes import label
+
+    if asked is None and environment != label(environment):
+        return None
+    return ("--map", map_file) if map_file else ("--environment", environment)
+
+
+def _say_failures(failures: list[dict[str, Any]], see: str) -> None:
+    """Say which episodes failed, what to type to see one, and which of them no robot can solve."""
+    failed = [failure["episode"] for failure in failures]
+    listed = ", ".join(map(str, failed[:12])) + (", ..." if len(failed) > 12 else "")
+    say(f"{counted(len(failed), 'episode')} ({listed}) failed; see one: {see}")
+    no_way = [str(failure["episode"]) for failure in failures if not failure["solvable"]]
+    if no_way:
+        say(f"unsolvable, the squares leave no way to the goal: {', '.join(no_way[:12])}")
 
 
 @app.command("compare", epilog="Example: sfmrl compare sarl sarl-sfm6 orca --environment table2")
@@ -91,36 +115,30 @@ def compare_command(
 
     Total rewards are those of the first one's reward, and the environment its test mix, unless they are given.
     """
-    from sfmrl.evaluation import evaluation_record
-    from sfmrl.progress import show_progress
-    from sfmrl.scenes import label
     from sfmrl.study.compare import compare, comparison_rows, comparison_sheets
 
     if len(policies) < 2 or len(set(policies)) < len(policies):
         raise ConfigError(f"compare takes two or more different policies; it got {', '.join(policies)}")
     new_file(csv, "csv", overwrite)
-    environment = drawn(map_file, environment)
-    chosen = [choose(policy, settings, threads, trust_reward) for policy in policies]
-    first = chosen[0][2]
-    environment = first.reinforcement.test_environment if environment is None else environment
-    how = {"environment": environment, "episodes": episodes, "seed": seed, "people": humans}
-    how |= {"people_speed": human_speed, "reward": first.reward, "simulation": first.simulation}
-    records = [evaluation_record(policy, progress=show_progress(err), **how) for policy, _, _ in chosen]
-    found = compare(records, [policy for policy, _, _ in chosen], policies)
+    asked = drawn(map_file, environment)
+    chosen, _, configs = zip(*(choose(policy, settings, threads, trust_reward) for policy in policies), strict=True)
+    environment = configs[0].reinforcement.test_environment if asked is None else asked
+    test = {"environment": environment, "episodes": episodes, "seed": seed}
+    records = _play(chosen, configs[0], **test, people=humans, people_speed=human_speed)
+    comparison = compare(records, chosen, policies)
+    given, crowd = among(humans, human_speed)
     if csv:
         write_text(csv, csv_text(comparison_rows(records, policies)))
-    given, crowd = among(humans, human_speed)
     if as_json:
-        say_result(json.dumps({"environment": environment, "seed": seed} | given | found, indent=2))
+        say_result(json.dumps({"environment": environment, "seed": seed} | given | comparison, indent=2))
         return
-    where = f"map {map_file}" if map_file else f"environment {label(environment)}"
-    for sheet in comparison_sheets(found, f"{where}{crowd}, {counted(episodes, 'episode')}, seed {seed}"):
+    for sheet in comparison_sheets(comparison, _title(map_file, environment, crowd, episodes, seed)):
         print_sheet(sheet)
-    if found["differing"]:
-        number, outcomes = found["differing"][0]["episode"], found["differing"][0]["outcomes"]
+    if comparison["differing"]:
+        number, outcomes = comparison["differing"][0]["episode"], comparison["differing"][0]["outcomes"]
         success = {name: outcome == "success" for name, outcome in outcomes.items()}
         versus = next(name for name in policies[1:] if success[name] != success[policies[0]])
-        place = ("--map", map_file) if map_file else ("--environment", environment)
+        place = _place(map_file, asked, environment)
         say("see one: " + replay_command(policies[0], place, seed, number, given | settings, versus, trust_reward))
 
 

@@ -1,4 +1,4 @@
-"""What the commands share: from options to configs, runs, policies and threads, and a training that can be stopped."""
+"""What the commands share: from options to configs, runs, policies, scenes; and a training that can be stopped."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,7 +12,7 @@ from sfmrl.variants import make_config
 
 
 def new_config(variant: str | None, settings: dict[str, Any]) -> Config:
-    """The config of a new training from the options that were given."""
+    """Return the config of a new training from the options that were given."""
     from sfmrl.own_code import absolute
 
     preset = settings.pop("preset", "quick")
@@ -22,7 +22,7 @@ def new_config(variant: str | None, settings: dict[str, Any]) -> Config:
 
 
 def reopen(kind: str, folder: Path, given: list[Any], trust_reward: bool) -> Any:
-    """The run to go on with; its settings are its own, so no other may be given."""
+    """Open the run to go on with; raises ConfigError where settings are `given`, since it keeps its own."""
     from sfmrl.own_code import trusted
     from sfmrl.runs import open_run
 
@@ -33,7 +33,7 @@ def reopen(kind: str, folder: Path, given: list[Any], trust_reward: bool) -> Any
 
 
 def existing(folder: Path | None, overwrite: bool, go_on: bool) -> dict[str, bool]:
-    """What becomes of a run folder that is there already."""
+    """Return what to do with a run folder that is there already; raises ConfigError where that is contradictory."""
     if go_on and folder is None:
         raise ConfigError("--continue needs the folder to go on with; name it with --run")
     if go_on and overwrite:
@@ -42,7 +42,7 @@ def existing(folder: Path | None, overwrite: bool, go_on: bool) -> dict[str, boo
 
 
 def finished(run: Any) -> bool:
-    """Whether a training has ended already; if so, say it and remove checkpoints that a killed process left."""
+    """Return whether a training has ended already; if so, say it and remove checkpoints that a killed process left."""
     from sfmrl.runs import sole_use
 
     if run.finished:
@@ -54,19 +54,19 @@ def finished(run: Any) -> bool:
 
 
 def use_threads(threads: int | None) -> int:
-    """How many threads to work on."""
+    """Return how many threads to work on."""
     from sfmrl.lookahead import available_cores
 
     return threads or available_cores()
 
 
 def on_run(command: str, run: Any) -> str:
-    """What to type to use a run, quoted for the shell; it says so if the run's reward is the user's own."""
+    """Return what to type to use a run, quoted for the shell, with --trust-reward if its reward is the user's own."""
     return f"sfmrl {command} {as_words(run.folder)}"
 
 
 def train(run: Any, work: Callable[..., Any]) -> Any:
-    """Do a training's work; raises Interrupted, which says how to go on, when it is asked to stop."""
+    """Train; raises Interrupted, which says how to go on, when it is asked to stop."""
     from sfmrl.bits import machine_bits
     from sfmrl.own_code import reward_digest
     from sfmrl.progress import show_progress
@@ -96,25 +96,29 @@ def train(run: Any, work: Callable[..., Any]) -> Any:
 def choose(
     policy: str | None, settings: dict[str, Any], threads: int | None, trust_reward: bool
 ) -> tuple[Any, str, Config]:
-    """The policy to play, its name, and its config with the options that were given.
+    """Return the policy to play, its name, and its config with the options that were given.
 
-    The reward that a network looks ahead with is run if it is sfmrl's, if --reward names it, or with --trust-reward.
+    Without a name, it is the newest finished run. The reward that a network looks ahead with is run if it is sfmrl's,
+    if --reward names it, or with --trust-reward.
     """
+    from sfmrl.models import model_names
     from sfmrl.policies import POLICIES, find_weights, load_policy
     from sfmrl.recovery import with_recovery
+    from sfmrl.runs import newest_run
 
-    name = policy or newest()
+    name = policy or str(newest_run())
+    if not policy:
+        say(f"policy: {name}")
     trust = trust_reward or settings.get("reward", {}).get("reward", False)
-    how = (name,) if name in POLICIES else (name, use_threads(threads))
-    chosen = load_policy(*how, trust_reward=trust)
+    chosen = load_policy(name, None if name in POLICIES else use_threads(threads), trust_reward=trust)
     config = override(getattr(chosen, "config", Config()), settings)
-    if name not in POLICIES:
+    if name not in (*POLICIES, *model_names()):
         say_habits(find_weights(name), config)
     return with_recovery(chosen, config.planner), name, config
 
 
 def say_habits(path: Path, config: Config) -> None:
-    """What the files beside a CrowdNav checkpoint say that is otherwise under a config, on standard error."""
+    """Say on standard error what the files beside a CrowdNav checkpoint say that is otherwise under a config."""
     from sfmrl.weights import other_habits
 
     for note in other_habits(path, config.simulation.robot_visible):
@@ -122,7 +126,7 @@ def say_habits(path: Path, config: Config) -> None:
 
 
 def drawn(map_file: Path | None, environment: str | None) -> str | None:
-    """The environment that was asked for by --map or by --environment; None where neither was given."""
+    """Return the environment that --map or --environment asks for; None where neither was given."""
     from sfmrl.maps import load_map
 
     if map_file and environment is not None:
@@ -131,18 +135,9 @@ def drawn(map_file: Path | None, environment: str | None) -> str | None:
 
 
 def among(humans: int | None, human_speed: float | None) -> tuple[dict[str, Any], str]:
-    """What was given of --humans and --human-speed, by name, and in words for a title."""
+    """Return what was given of --humans and --human-speed, by name, and in words for a title."""
     from sfmrl.scenes import circle_of
 
     given = {name: value for name, value in (("humans", humans), ("human_speed", human_speed)) if value is not None}
     words = "" if humans is None else f", {counted(humans, 'human')} on a circle of {circle_of(humans):g} m"
     return given, words + ("" if human_speed is None else f", humans at {human_speed:g} m/s")
-
-
-def newest() -> str:
-    """The newest finished run, named on standard error."""
-    from sfmrl.runs import newest_run
-
-    folder = str(newest_run())
-    say(f"policy: {folder}")
-    return folder

@@ -1,6 +1,7 @@
 """The commands that look closer: `sfmrl explain`, `sfmrl verify`, `sfmrl doctor`."""
 
 import json
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -56,15 +57,10 @@ def explain(
     if as_json:
         what = {"policy": name, "environment": str(scene.environment[0]), "episode": episode, "seed": seed}
         what |= {"outcome": str(record.outcome[0]), "time": float(record.time[0]), "discount": config.discount}
-        totals = {"plain": explained.own.plain, "discounted": explained.own.discounted}
-        accounts = [
-            {"reward": one.name, "terms": one.discounted, "return": one.discounted_return} for one in explained.accounts
-        ]
-        what |= {"reward": asdict(config.reward), "totals": totals, "return": explained.own.discounted_return}
-        say_result(json.dumps(what | {"rewards": accounts, "steps": explained.steps}, indent=2, allow_nan=False))
-    else:
-        for part in explanation_parts(explained, shown, name, max(out.width, WIDTH)):
-            say_result(part) if isinstance(part, str) else print_table(part)
+        say_result(json.dumps(what | {"reward": asdict(config.reward)} | explained.sums(), indent=2, allow_nan=False))
+        return
+    for part in explanation_parts(explained, shown, name, max(out.width, WIDTH)):
+        say_result(part) if isinstance(part, str) else print_table(part)
 
 
 @app.command(epilog="Example: sfmrl verify runs/rl-sarl-sfm2-seed0 --episodes 500")
@@ -91,19 +87,13 @@ def verify(
     from sfmrl.lessons.verify import verify as findings_of
     from sfmrl.progress import show_progress
 
-    found = []
     how = (episodes, tolerance, use_threads(threads), show_progress(err))
-    for finding in findings_of(run, *how, trust_reward=trust_reward):
-        say_finding(finding)
-        found.append(finding)
-    wrong = [finding.what for finding in found if finding.ok is False]
-    unknown = [finding.what for finding in found if finding.ok is None]
-    checked = len(found) - len(unknown)
+    wrong, unknown, count = _say_findings(findings_of(run, *how, trust_reward=trust_reward))
     aside = f"; not judged: {', '.join(unknown)}" if unknown else ""
     if wrong:
-        say_result(f"{run}: {len(wrong)} of {checked} DO NOT AGREE: {', '.join(wrong)}{aside}")
+        say_result(f"{run}: {len(wrong)} of {count} DO NOT AGREE: {', '.join(wrong)}{aside}")
         raise typer.Exit(1)
-    say_result(f"{run}: all {checked} agree{aside}")
+    say_result(f"{run}: all {count} agree{aside}")
 
 
 @app.command(epilog="Example: sfmrl doctor")
@@ -114,11 +104,17 @@ def doctor() -> None:
     """
     from sfmrl.lessons.doctor import examine
 
-    ill = []
-    for finding in examine(out):
-        say_finding(finding)
-        ill += [finding.what] if finding.ok is False else []
-    if ill:
-        say(f"not ok: {', '.join(ill)}; what helps stands beside it")
+    wrong, _, _ = _say_findings(examine(out))
+    if wrong:
+        say(f"not ok: {', '.join(wrong)}; what helps stands beside it")
         raise typer.Exit(1)
     say("all is well")
+
+
+def _say_findings(findings: Iterable[Any]) -> tuple[list[str], list[str], int]:
+    """Print findings as they come; returns what is wrong, what is not judged, and how many are judged."""
+    by_result: dict[bool | None, list[str]] = {True: [], False: [], None: []}
+    for finding in findings:
+        say_finding(finding)
+        by_result[finding.ok].append(finding.what)
+    return by_result[False], by_result[None], len(by_result[True]) + len(by_result[False])

@@ -227,7 +227,7 @@ WRONG_USE = [
     (("eval", "orca", "--time-limit", "inf"), ("time-limit",)),
     (("eval", "orca", "--time-step", "nan"), ("time-step",)),
     (("eval", "orca", "--csv", "no/such/folder.csv"), ("no folder no/such",)),
-    (("eval", "orca", "--episodes", "2", "--csv", ".", "--overwrite"), ("is a folder",)),
+    (("eval", "orca", "--episodes", "2", "--csv", ".", "--overwrite"), (". is not a regular file",)),
     (("eval", "orca", "--humans", "0.5"), ("--humans", "integer")),
     (("compare", "orca", "sfm", "--human-speed", "nan"), ("--human-speed",)),
     (("eval", "orca", "--environment", "map-rooms"), ("there is no environment 'map-rooms'", "did you mean map-room?")),
@@ -253,7 +253,7 @@ WRONG_USE = [
     (("eval", "orca", "--reward", "mine.py:mine"), ("there is no file mine.py", "path")),
     (("explain", "orca", "--steps", "x"), ("--steps is 'x'", "as in 10:20")),
     (("explain", "orca", "--every", "0"), ("--every",)),
-    (("explain", "orca", "--csv", "."), ("is a folder", "name")),
+    (("explain", "orca", "--csv", "."), (". is not a regular file", "name a file")),
     (("verify",), ("run", "--help")),
     (("verify", "nowhere"), ("nowhere does not exist",)),
     (("verify", ".", "--tolerance", "2"), ("--tolerance is 2.0; it must be at most 1",)),
@@ -553,11 +553,11 @@ def test_sfmrl_alone_says_what_is_being_trained_now(in_process: Call, tmp_path: 
     lay_runs(tmp_path, ("a", "il", True), ("b", "rl", False))
     with locked(tmp_path / "runs" / "b"):
         said = in_process().stdout
-        assert completion.unfinished_runs("runs/") == []
+        assert completion.unfinished_runs() == []
     assert "runs/b is being trained now" in said
     assert "--resume" not in said
     assert "sfmrl ascii-render runs/a" in said
-    assert completion.unfinished_runs("runs/") == ["runs/b"]
+    assert completion.unfinished_runs() == ["runs/b"]
 
 
 def test_runs_that_cannot_be_read_do_not_keep_sfmrl_from_greeting(in_process: Call, tmp_path: Path):

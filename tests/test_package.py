@@ -104,7 +104,6 @@ LEVELS = (
         "completion",
         "options",
         "console",
-        "greeting",
         "session",
         "training_commands",
         "evaluation_commands",

@@ -56,7 +56,7 @@ def test_a_size_is_kept_in_a_pipe(sfmrl):
     ("words", "parts"),
     [
         (("--svg", "none/a.svg"), ("no folder none", "--svg a.svg")),
-        (("--cast", "."), ("--cast . is a folder",)),
+        (("--cast", "."), (". is not a regular file",)),
         (("--cast", "a", "--svg", "a"), ("--svg and --cast", "the same file")),
         (("--cast", "a", "--frames", "3"), ("--frames", "every step")),
         (("--svg", "a", "--frames", "3", "--at", "2"), ("--frames and --at",)),

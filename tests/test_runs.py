@@ -17,11 +17,11 @@ import pytest
 from conftest import environment
 
 from sfmrl import __version__
+from sfmrl.cli import greeting
 from sfmrl.config import Config, ConfigError, override
 from sfmrl.demonstrations import load_demonstrations
 from sfmrl.files import SUMS, DamagedFile, append, read_checked, read_sums, write_atomically
 from sfmrl.folders import DEMONSTRATIONS, LOCK, in_training, locked, run_folders, unfinished
-from sfmrl.greeting import greeting
 from sfmrl.imitation import demonstrate
 from sfmrl.maps import load_map
 from sfmrl.policies import WEIGHTS, load_policy

@@ -67,6 +67,17 @@ class Explanation:
     own: Account
     accounts: list[Account]  # the paper's, and first the own reward where it is none of these
 
+    def sums(self) -> dict[str, Any]:
+        """Return sums, accounts and steps as plain values, ready for JSON."""
+        return {
+            "totals": {"plain": self.own.plain, "discounted": self.own.discounted},
+            "return": self.own.discounted_return,
+            "rewards": [
+                {"reward": a.name, "terms": a.discounted, "return": a.discounted_return} for a in self.accounts
+            ],
+            "steps": self.steps,
+        }
+
 
 def explain_episode(record: Record, row: int, policy: Any, reward: Reward, discount: float) -> Explanation:
     """Explain the episode in one row of a record, under a reward and a discount per second at 1 m/s.
