@@ -23,9 +23,10 @@ import torch
 import typer
 from conftest import ROOT, environment
 
-from sfmrl import __version__, cli, completion
+from sfmrl import __version__, cli
 from sfmrl.bits import machine_bits
-from sfmrl.cli import app, main
+from sfmrl.cli import app, completion, main
+from sfmrl.cli.session import on_run
 from sfmrl.config import Config, ConfigError, Imitation, Planner, Reinforcement, Reward, Simulation, SocialForce
 from sfmrl.fast import Sizes, as_fast
 from sfmrl.folders import locked, unfinished
@@ -35,7 +36,6 @@ from sfmrl.policies import POLICIES
 from sfmrl.rewards import REWARDS
 from sfmrl.runs import create_run
 from sfmrl.scenes import ENVIRONMENTS
-from sfmrl.session import on_run
 from sfmrl.variants import MIXES, PRESETS, VARIANTS, make_config
 from sfmrl.weights import load_weights
 
@@ -300,13 +300,13 @@ def test_no_option_takes_what_is_no_number_or_far_too_large(in_process: Call, mo
 
     monkeypatch.setattr(cli, "app", typer.main.get_command(app))  # built once
     for module, function in (
-        ("training_commands", "new_config"),
-        ("evaluation_commands", "choose"),
-        ("replay_commands", "choose"),
-        ("teaching_commands", "choose"),
-        ("table_commands", "_train"),
+        ("train", "new_config"),
+        ("test", "choose"),
+        ("watch", "choose"),
+        ("teach", "choose"),
+        ("study", "_train"),
     ):
-        monkeypatch.setattr(f"sfmrl.{module}.{function}", begin)
+        monkeypatch.setattr(f"sfmrl.cli.{module}.{function}", begin)
     for option in NUMBERS[name]:
         for value in NO_NUMBER:
             done = in_process(name, *NEEDED.get(name, []), option, value)

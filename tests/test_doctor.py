@@ -9,7 +9,8 @@ import torch
 from rich.console import Console
 
 import sfmrl as package
-from sfmrl import bits, episodes, teaching_commands
+from sfmrl import bits, episodes
+from sfmrl.cli import teach
 from sfmrl.lessons import Finding, doctor
 
 
@@ -76,8 +77,8 @@ def test_a_failure_is_a_line_with_its_remedy_and_exit_code_1(monkeypatch, capsys
 
     monkeypatch.setattr(doctor, "_orca", lambda: Finding("ORCA", False, "it is broken", "mend it"))
     monkeypatch.setattr(doctor, "_processor", breaks)
-    with pytest.raises(teaching_commands.typer.Exit) as end:
-        teaching_commands.doctor()
+    with pytest.raises(teach.typer.Exit) as end:
+        teach.doctor()
     assert end.value.exit_code == 1
     told = capsys.readouterr()
     assert "not ok ORCA            it is broken; mend it" in told.out

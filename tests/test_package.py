@@ -101,15 +101,15 @@ LEVELS = (
         "lessons.doctor",
     ),
     (
-        "completion",
-        "options",
-        "console",
-        "session",
-        "training_commands",
-        "evaluation_commands",
-        "replay_commands",
-        "table_commands",
-        "teaching_commands",
+        "cli.completion",
+        "cli.options",
+        "cli.console",
+        "cli.session",
+        "cli.train",
+        "cli.test",
+        "cli.watch",
+        "cli.study",
+        "cli.teach",
         "cli",
     ),
 )
@@ -136,15 +136,16 @@ def imports(path: Path, top_only: bool = False) -> set[str]:
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path.name} has a relative import"
-            inner = {f"sfmrl.{a.name}" for a in node.names if (ROOT / "sfmrl" / f"{a.name}.py").exists()}
-            found |= inner if node.module == "sfmrl" else {node.module}
+            folder = ROOT / node.module.replace(".", "/")
+            inner = {f"{node.module}.{a.name}" for a in node.names if (folder / f"{a.name}.py").exists()}
+            found |= inner or {node.module}
     return found
 
 
 def test_the_package_is_nearly_flat_and_every_file_has_its_place():
     folders = {path.name for path in (ROOT / "sfmrl").iterdir() if path.is_dir()}
     # models: trained networks and their cards, no code
-    assert folders - {"__pycache__"} == {"models", "fast", "maps", "orca", "replay", "study", "lessons"}
+    assert folders - {"__pycache__"} == {"models", "fast", "maps", "orca", "replay", "study", "lessons", "cli"}
     assert {path.suffix for path in MODELS} == {".json", ".npz"}
     assert set(map(name_of, FILES)) == set(ORDER)
     assert len(ORDER) == len(set(ORDER))

@@ -56,7 +56,7 @@ def test_a_signal_ends_a_replay_with_one_line_and_the_terminal_as_it_was(tmp_pat
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("imported", ["rich.text", "sfmrl.options", "sfmrl.evaluation"])
+@pytest.mark.parametrize("imported", ["rich.text", "sfmrl.cli.options", "sfmrl.evaluation"])
 def test_a_signal_during_the_imports_or_after_is_one_line_too(tmp_path, number, imported):
     words = [sys.executable, "-X", "importtime", *SFMRL[1:], "eval", "orca", "--episodes", "3000"]
     process = subprocess.Popen(words, cwd=tmp_path, env=environment(), stderr=subprocess.PIPE, text=True)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sfmrl import completion
+from sfmrl.cli import completion
 from sfmrl.config import EPISODES, SEED, Config, checked, in_range
 from sfmrl.variants import MIXES, PRESETS, VARIANTS, make_config
 

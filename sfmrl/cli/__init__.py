@@ -12,16 +12,10 @@ from typing import Annotated
 
 import typer
 
-from sfmrl import (
-    __version__,
-    evaluation_commands,
-    replay_commands,
-    table_commands,
-    teaching_commands,
-    training_commands,
-)
+from sfmrl import __version__
+from sfmrl.cli import study, teach, test, train, watch
+from sfmrl.cli.console import say, say_result
 from sfmrl.config import ConfigError
-from sfmrl.console import say, say_result
 from sfmrl.files import DamagedFile
 from sfmrl.folders import as_words, finished, run_folders, unfinished
 from sfmrl.stopping import Interrupted
@@ -34,7 +28,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for commands in (training_commands, evaluation_commands, replay_commands, table_commands, teaching_commands):
+for commands in (train, test, watch, study, teach):
     for command in commands.app.registered_commands:  # Typer would keep the line ends of all paragraphs but the first
         command.help = re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(command.callback.__doc__))
     app.add_typer(commands.app)

@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 import typer
 
-from sfmrl import completion, options
+from sfmrl.cli import completion, options
+from sfmrl.cli.console import as_options, print_metrics, say
+from sfmrl.cli.options import option, settings_options
+from sfmrl.cli.session import drawn, existing, finished, new_config, on_run, reopen, say_habits, train, use_threads
 from sfmrl.config import Config, ConfigError
-from sfmrl.console import as_options, print_metrics, say
-from sfmrl.options import option, settings_options
-from sfmrl.session import drawn, existing, finished, new_config, on_run, reopen, say_habits, train, use_threads
 
 app = typer.Typer()
 

@@ -9,11 +9,11 @@ from typing import Annotated, Any
 
 import typer
 
-from sfmrl import options
+from sfmrl.cli import options
+from sfmrl.cli.console import new_file, out, say, say_result
+from sfmrl.cli.options import number_option, option, settings_options
+from sfmrl.cli.session import choose, drawn
 from sfmrl.config import Config, ConfigError, counted
-from sfmrl.console import new_file, out, say, say_result
-from sfmrl.options import number_option, option, settings_options
-from sfmrl.session import choose, drawn
 
 app = typer.Typer()
 LEAST = (20, 8)  # columns and lines that a frame has at least

@@ -8,12 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
-from sfmrl import completion, options
+from sfmrl.cli import completion, options
+from sfmrl.cli.console import WIDTH, err, new_file, out, print_table, say, say_finding, say_result
+from sfmrl.cli.options import number_option, option, settings_options
+from sfmrl.cli.session import choose, drawn, use_threads
 from sfmrl.config import EPISODES, STEPS
-from sfmrl.console import WIDTH, err, new_file, out, print_table, say, say_finding, say_result
 from sfmrl.files import csv_text, write_text
-from sfmrl.options import number_option, option, settings_options
-from sfmrl.session import choose, drawn, use_threads
 
 app = typer.Typer()
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from sfmrl.cli.console import err, say
 from sfmrl.config import Config, ConfigError, counted, override
-from sfmrl.console import err, say
 from sfmrl.folders import as_words
 from sfmrl.variants import make_config
 

@@ -6,10 +6,10 @@ from typing import Annotated, Any
 
 import typer
 
+from sfmrl.cli.console import err, new_file, out, print_sheet, say, say_result
+from sfmrl.cli.options import Overwrite, number_option, option
 from sfmrl.config import ConfigError
-from sfmrl.console import err, new_file, out, print_sheet, say, say_result
 from sfmrl.files import csv_text, write_text
-from sfmrl.options import Overwrite, number_option, option
 from sfmrl.variants import make_config
 
 app = typer.Typer()

@@ -7,12 +7,12 @@ from typing import Annotated, Any
 
 import typer
 
-from sfmrl import options
+from sfmrl.cli import options
+from sfmrl.cli.console import err, new_file, print_metrics, print_sheet, replay_command, say, say_result
+from sfmrl.cli.options import option, settings_options
+from sfmrl.cli.session import among, choose, drawn
 from sfmrl.config import Config, ConfigError, counted, suggest
-from sfmrl.console import err, new_file, print_metrics, print_sheet, replay_command, say, say_result
 from sfmrl.files import DamagedFile, csv_text, write_text
-from sfmrl.options import option, settings_options
-from sfmrl.session import among, choose, drawn
 
 app = typer.Typer()
 
