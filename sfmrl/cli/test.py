@@ -135,11 +135,15 @@ def compare_command(
     for sheet in comparison_sheets(comparison, _title(map_file, environment, crowd, episodes, seed)):
         print_sheet(sheet)
     if comparison["differing"]:
-        number, outcomes = comparison["differing"][0]["episode"], comparison["differing"][0]["outcomes"]
-        success = {name: outcome == "success" for name, outcome in outcomes.items()}
-        versus = next(name for name in policies[1:] if success[name] != success[policies[0]])
+        episode, versus = _first_difference(comparison["differing"][0], policies)
         place = _place(map_file, asked, environment)
-        say("see one: " + replay_command(policies[0], place, seed, number, given | settings, versus, trust_reward))
+        say("see one: " + replay_command(policies[0], place, seed, episode, given | settings, versus, trust_reward))
+
+
+def _first_difference(differing: dict[str, Any], policies: list[str]) -> tuple[int, str]:
+    """Return an episode's number, and a policy that does otherwise in it than the first one."""
+    success = {name: outcome == "success" for name, outcome in differing["outcomes"].items()}
+    return differing["episode"], next(name for name in policies[1:] if success[name] != success[policies[0]])
 
 
 @app.command(epilog="Example: sfmrl models sarl-sfm6")
