@@ -98,6 +98,10 @@ def test_jobs_are_one_command_each_and_rows_share_their_imitation():
     ):
         assert words[words.index(flag) + 1] == value
     assert len({job.folder for job in jobs}) == len(jobs) == 6
+    _, shorter = make_jobs(1, "paper", [0], ["sarl"], Path("here"), episodes=3000, interval=500)
+    assert shorter.episodes == 3000
+    for flag, value in (("--episodes", "3000"), ("--validation-interval", "500")):
+        assert shorter.words[shorter.words.index(flag) + 1] == value
 
 
 @pytest.mark.parametrize(

@@ -30,6 +30,12 @@ def table(
     preset: Preset = "quick",
     folder: Folder = TABLES_FOLDER,
     jobs: Annotated[int | None, number_option("trainings side by side (default one a core)", 1, 1024)] = None,
+    episodes: Annotated[
+        int | None, number_option("training episodes of each run (default the preset's)", 1, 10_000_000)
+    ] = None,
+    validation_interval: Annotated[
+        int | None, number_option("episodes between validations (default quick 250, paper 1000)", 1, 10_000_000)
+    ] = None,
     on: Annotated[str, option("where to train: here, or ray (default here)")] = "here",
     print_jobs: Annotated[bool, option("print the trainings as commands, and run none", "--print-jobs")] = False,
     no_train: Annotated[bool, option("make the table from what is finished, train nothing", "--no-train")] = False,
@@ -50,7 +56,7 @@ def table(
         raise ConfigError(f"--on {on}: choose here or ray")
     new_file(csv, "csv", overwrite)
     new_file(markdown, "markdown", overwrite)
-    trainings = make_jobs(number, preset, numbers, chosen, folder)
+    trainings = make_jobs(number, preset, numbers, chosen, folder, episodes, validation_interval)
     if print_jobs:
         say_result("\n".join(job.command for job in trainings))
         return

@@ -68,9 +68,21 @@ TABLES = {
 }
 
 
-def make_jobs(number: int, preset: str, seeds: list[int], rows: list[str], folder: Path) -> list[Job]:
-    """Return the trainings of a table: an imitation run for each seed, which its rows share, and a run for each row."""
+def make_jobs(
+    number: int,
+    preset: str,
+    seeds: list[int],
+    rows: list[str],
+    folder: Path,
+    episodes: int | None = None,
+    interval: int | None = None,
+) -> list[Job]:
+    """The trainings of a table: an imitation run for each seed, which its rows share, and a run for each row.
+
+    `episodes` of each training and the `interval` of its validations are by default the table's.
+    """
     table, jobs = TABLES[number], []
+    length, interval = episodes or table.episodes[preset], interval or VALIDATION_INTERVAL[preset]
     for seed in seeds:
         source = folder / f"{preset}-il-seed{seed}"
         common = ("--preset", preset, "--seed", str(seed))
@@ -79,12 +91,13 @@ def make_jobs(number: int, preset: str, seeds: list[int], rows: list[str], folde
         for row in rows:
             run = run_folder(folder, number, preset, row, seed)
             words = ["rl", "--variant", row, *common, "--from", str(source), "--run", str(run), "--no-recover"]
-            words += ["--validation-interval", str(VALIDATION_INTERVAL[preset]), "--test-best"]
+            words += ["--validation-interval", str(interval), "--test-best"]
             if number == 2:
-                words += ["--environment", table.environment, "--episodes", str(table.episodes[preset])]
-                words += ["--test-episodes", str(table.test_episodes)]
+                words += ["--environment", table.environment, "--test-episodes", str(table.test_episodes)]
+            if number == 2 or episodes:
+                words += ["--episodes", str(length)]
             words += ["--continue", "--threads", "1"]
-            jobs.append(Job(run.name, tuple(words), run, source, table.episodes[preset]))
+            jobs.append(Job(run.name, tuple(words), run, source, length))
     return jobs
 
 
