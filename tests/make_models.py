@@ -2,11 +2,11 @@
 
 For each row of both tables, quick preset, the seed whose validations in the second half of its training were the best
 on the mean (of several, the lowest) is taken: the test episodes have no say in it. Its weights and card go to
-sfmrl/models/. Without arguments, the networks that are there are tested anew and their cards renewed.
+sfmrl/models/; a card of the same weights stays. Without arguments, the networks that are there are tested anew and their
+cards renewed.
 """
 
 import json
-import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -59,8 +59,10 @@ def make_model(name: str, number: int, row: str, tested: Trained, folder: Path) 
     run = open_run(run_folder(folder, number, PRESET, row, seed))
     network, config = load_weights(run.folder / WEIGHTS)
     config = replace(config, planner=replace(config.planner, recover=True))  # at play; no training sees it
-    digest = save_weights(network, config, FOLDER / f"{name}.npz")
+    digest, path = save_weights(network, config, FOLDER / f"{name}.npz"), FOLDER / f"{name}.json"
     (FOLDER / "SHA256SUMS").unlink()  # the card has it
+    if path.exists() and json.loads(path.read_text())["sha256"] == digest:
+        return
     card = {
         "name": name,
         "variant": row,
@@ -78,8 +80,6 @@ def make_model(name: str, number: int, row: str, tested: Trained, folder: Path) 
 
 
 def make_models(place: Path, seeds: list[int]) -> None:
-    shutil.rmtree(FOLDER, ignore_errors=True)
-    FOLDER.mkdir()
     for number, table in TABLES.items():
         for row in table.paper:
             tested = read_row(place, number, PRESET, row, seeds)
