@@ -13,7 +13,7 @@ from dataclasses import Field, asdict, dataclass, field, fields, is_dataclass, r
 from numbers import Integral, Real
 from typing import Any
 
-from sfmrl.files import json_object
+from sfmrl.runs.files import json_object
 
 
 class ConfigError(ValueError):

@@ -10,9 +10,9 @@ from sfmrl.intervals import wilson
 from sfmrl.lookahead import Policy
 from sfmrl.planner import solvable
 from sfmrl.policies import find_policy
-from sfmrl.progress import Progress, no_progress
 from sfmrl.recovery import RecoveringPolicy
 from sfmrl.rewards import OwnReward, as_reward
+from sfmrl.runs.progress import Progress, no_progress
 from sfmrl.scenes import sample_scenes
 
 RATES = ("success", "collision", "timeout")

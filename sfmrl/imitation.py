@@ -12,8 +12,8 @@ from sfmrl.fast import new_network
 from sfmrl.learning import Fit, Memory
 from sfmrl.lookahead import step_discount
 from sfmrl.policies import orca_policy
-from sfmrl.progress import Progress
 from sfmrl.rewards import reward_terms
+from sfmrl.runs.progress import Progress
 from sfmrl.scenes import elements_of, generator, sample_scenes, thinned
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from sfmrl.config import Config, ConfigError, Reward, Untrusted, suggest
-from sfmrl.files import digest_of
+from sfmrl.runs.files import digest_of
 
 
 class UntrustedReward(ConfigError):

@@ -7,13 +7,13 @@ import numpy as np
 
 from sfmrl.config import ConfigError, suggest
 from sfmrl.crowd import World, orca_crowd, sfm_crowd
-from sfmrl.files import read_checked
-from sfmrl.folders import OLD, WEIGHTS, unfinished
 from sfmrl.geometry import direction
 from sfmrl.lookahead import Policy, SarlPolicy, available_cores
-from sfmrl.models import model_names, model_weights
 from sfmrl.own_code import kind, trusted
 from sfmrl.recovery import with_recovery
+from sfmrl.runs.files import read_checked
+from sfmrl.runs.folders import OLD, WEIGHTS, unfinished
+from sfmrl.runs.models import model_names, model_weights
 
 
 def linear_policy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
@@ -60,7 +60,7 @@ def load_policy(name_or_path: str | Path, threads: int | None = None, *, trust_r
     """
     if str(name_or_path) in POLICIES:
         return POLICIES[str(name_or_path)]
-    from sfmrl.weights import load_weights
+    from sfmrl.runs.weights import load_weights
 
     network, config = load_weights(find_weights(name_or_path))
     config = trusted(config, trust_reward)

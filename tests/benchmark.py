@@ -34,12 +34,12 @@ from sfmrl.lookahead import SarlPolicy, available_cores
 from sfmrl.network import ValueNetwork
 from sfmrl.planner import plan
 from sfmrl.policies import orca_policy
-from sfmrl.progress import no_progress
 from sfmrl.recovery import RecoveringPolicy
-from sfmrl.runs import create_run
+from sfmrl.runs.progress import no_progress
+from sfmrl.runs.run import create_run
+from sfmrl.runs.stopping import StopSignal
+from sfmrl.runs.training import run_imitation, run_reinforcement, start_run
 from sfmrl.scenes import BARRIER, Scenes, sample_scenes
-from sfmrl.stopping import StopSignal
-from sfmrl.training import run_imitation, run_reinforcement, start_run
 from sfmrl.variants import make_config
 
 console = Console(highlight=False, soft_wrap=True)

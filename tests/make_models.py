@@ -12,15 +12,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from sfmrl.bits import machine_bits
 from sfmrl.evaluation import evaluation_record, metrics
 from sfmrl.lookahead import RememberingPolicy, available_cores
-from sfmrl.models import FOLDER
 from sfmrl.policies import WEIGHTS
 from sfmrl.recovery import with_recovery
-from sfmrl.runs import open_run
+from sfmrl.runs.bits import machine_bits
+from sfmrl.runs.models import FOLDER
+from sfmrl.runs.run import open_run
+from sfmrl.runs.weights import load_weights, save_weights
 from sfmrl.study.tables import TABLES, Trained, make_jobs, parse_seeds, read_row, run_folder
-from sfmrl.weights import load_weights, save_weights
 
 PRESET = "quick"
 CHECKED = 100  # test episodes whose outcomes a card lists, for the tests

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 from rich.text import Text
 
-from sfmrl.files import csv_text
 from sfmrl.replay import Frame, to_svg
+from sfmrl.runs.files import csv_text
 from sfmrl.study.curves import curve_rows, draw_curves
 from sfmrl.study.sheets import csv_rows, sheets
 from sfmrl.study.statistics import contrasts, summarise

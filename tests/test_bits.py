@@ -16,20 +16,20 @@ import numpy as np
 import pytest
 from conftest import DATA
 
-from sfmrl.bits import machine_bits
 from sfmrl.config import Config, Simulation
 from sfmrl.episodes import Record, play_episodes, returns_of
 from sfmrl.fast import new_network
 from sfmrl.learning import OPTIMIZERS, learn
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.policies import orca_policy
-from sfmrl.progress import no_progress
-from sfmrl.runs import create_run
+from sfmrl.runs.bits import machine_bits
+from sfmrl.runs.progress import no_progress
+from sfmrl.runs.run import create_run
+from sfmrl.runs.stopping import StopSignal
+from sfmrl.runs.training import run_imitation, run_reinforcement, start_run
+from sfmrl.runs.weights import load_weights
 from sfmrl.scenes import sample_scenes
-from sfmrl.stopping import StopSignal
-from sfmrl.training import run_imitation, run_reinforcement, start_run
 from sfmrl.variants import make_config
-from sfmrl.weights import load_weights
 
 SHORT, LONG = {"time_limit": 7.0}, {"time_limit": 14.0}  # s: 25 steps, and enough to reach the goal
 CONFIG = make_config("quick", "sarl-sfm2")

@@ -9,9 +9,10 @@ import torch
 from rich.console import Console
 
 import sfmrl as package
-from sfmrl import bits, episodes
+from sfmrl import episodes
 from sfmrl.cli import teach
 from sfmrl.lessons import Finding, doctor
+from sfmrl.runs import bits
 
 
 def looked_at(**how) -> dict[str, Finding]:

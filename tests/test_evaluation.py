@@ -11,11 +11,11 @@ from scipy.stats import binomtest
 from sfmrl.config import Reward, Simulation
 from sfmrl.episodes import Record
 from sfmrl.evaluation import episode_rows, evaluate, evaluation_record, metrics
-from sfmrl.files import csv_text
 from sfmrl.intervals import wilson
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
+from sfmrl.runs.files import csv_text
 from sfmrl.scenes import Scenes
 from sfmrl.variants import make_config
 

@@ -16,17 +16,17 @@ import pytest
 
 from sfmrl.cli import main
 from sfmrl.config import Config, ConfigError
-from sfmrl.demonstrations import load_demonstrations
-from sfmrl.files import SUMS, DamagedFile, read_sums, write_atomically
-from sfmrl.folders import DEMONSTRATIONS, LOCK, TABLES, kind_of
 from sfmrl.lessons.verify import verify
 from sfmrl.policies import load_policy
-from sfmrl.progress import no_progress
-from sfmrl.runs import create_run, open_run
-from sfmrl.stopping import StopSignal
+from sfmrl.runs.demonstrations import load_demonstrations
+from sfmrl.runs.files import SUMS, DamagedFile, read_sums, write_atomically
+from sfmrl.runs.folders import DEMONSTRATIONS, LOCK, TABLES, kind_of
+from sfmrl.runs.progress import no_progress
+from sfmrl.runs.run import create_run, open_run
+from sfmrl.runs.stopping import StopSignal
+from sfmrl.runs.training import run_imitation
 from sfmrl.study.jobs import pack, unpack
 from sfmrl.study.tables import read_row, run_folder
-from sfmrl.training import run_imitation
 from sfmrl.variants import make_config
 
 resource = pytest.importorskip("resource")  # where there is none, there is no os.fork, either

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from conftest import environment
 
-from sfmrl.folders import WEIGHTS, finished
-from sfmrl.stopping import Interrupted, StopSignal
+from sfmrl.runs.folders import WEIGHTS, finished
+from sfmrl.runs.stopping import Interrupted, StopSignal
 from sfmrl.study.jobs import Failed, Job, Processes, RayWorkers, pack, run_jobs, unpack
 
 TINY_IL = ("--episodes", "12", "--epochs", "1", "--threads", "1")

@@ -18,10 +18,10 @@ from sfmrl.fast import FastNetwork, new_network
 from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
 from sfmrl.learning import OPTIMIZERS, Fit, Learner, Memory, forget, generator_state, learn, set_generator_state
 from sfmrl.lookahead import SarlPolicy
-from sfmrl.progress import no_progress
+from sfmrl.runs.progress import no_progress
+from sfmrl.runs.training import due
 from sfmrl.scenes import sample_scenes
 from sfmrl.states import robot_states
-from sfmrl.training import due
 from sfmrl.variants import make_config
 
 

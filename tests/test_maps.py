@@ -15,12 +15,12 @@ from sfmrl.config import Config, ConfigError, Planner
 from sfmrl.maps import why_unsolvable
 from sfmrl.maps.format import parse
 from sfmrl.planner import solvable
-from sfmrl.progress import no_progress
 from sfmrl.recovery import with_recovery
-from sfmrl.runs import open_run
+from sfmrl.runs.progress import no_progress
+from sfmrl.runs.run import open_run
+from sfmrl.runs.stopping import Interrupted, StopSignal
+from sfmrl.runs.training import run_reinforcement, start_run
 from sfmrl.scenes import elements_of
-from sfmrl.stopping import Interrupted, StopSignal
-from sfmrl.training import run_reinforcement, start_run
 from sfmrl.variants import make_config
 
 ROOM = """\

@@ -6,16 +6,16 @@ import shutil
 import numpy as np
 import pytest
 
-from sfmrl import models
-from sfmrl.bits import machine_bits
 from sfmrl.evaluation import evaluation_record
-from sfmrl.files import DamagedFile
 from sfmrl.intervals import wilson
-from sfmrl.models import model_card, model_names, model_weights
 from sfmrl.policies import load_policy
+from sfmrl.runs import models
+from sfmrl.runs.bits import machine_bits
+from sfmrl.runs.files import DamagedFile
+from sfmrl.runs.models import model_card, model_names, model_weights
+from sfmrl.runs.weights import load_weights
 from sfmrl.study.tables import TABLES
 from sfmrl.variants import make_config, variant_name
-from sfmrl.weights import load_weights
 
 NAMES = model_names()
 

@@ -18,12 +18,12 @@ from torch import nn
 from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import evaluation_record, metrics
 from sfmrl.fast import Sizes, as_fast
-from sfmrl.files import DamagedFile
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import load_policy
+from sfmrl.runs.files import DamagedFile
+from sfmrl.runs.weights import export_weights, load_weights, other_habits, save_weights
 from sfmrl.states import OWN, column_names
 from sfmrl.variants import make_config
-from sfmrl.weights import export_weights, load_weights, other_habits, save_weights
 
 
 @pytest.fixture(scope="module")

@@ -18,10 +18,10 @@ from sfmrl.network import ValueNetwork
 from sfmrl.own_code import UntrustedReward, trusted
 from sfmrl.policies import load_policy
 from sfmrl.rewards import Transition, reward_terms
-from sfmrl.runs import create_run, open_run
+from sfmrl.runs.run import create_run, open_run
+from sfmrl.runs.weights import load_weights, save_weights
 from sfmrl.scenes import Scenes, sample_scenes
 from sfmrl.variants import make_config
-from sfmrl.weights import load_weights, save_weights
 
 SCENES = sample_scenes("circle5", 3)
 

@@ -19,18 +19,18 @@ from conftest import environment
 from sfmrl import __version__
 from sfmrl.cli import greeting
 from sfmrl.config import Config, ConfigError, override
-from sfmrl.demonstrations import load_demonstrations
-from sfmrl.files import SUMS, DamagedFile, append, read_checked, read_sums, write_atomically
-from sfmrl.folders import DEMONSTRATIONS, LOCK, in_training, locked, run_folders, unfinished
 from sfmrl.imitation import demonstrate
 from sfmrl.maps import load_map
 from sfmrl.policies import WEIGHTS, load_policy
-from sfmrl.progress import no_progress
-from sfmrl.runs import Run, create_run, newest_run, open_run, sole_use
-from sfmrl.stopping import Interrupted, StopSignal
-from sfmrl.training import run_imitation, run_reinforcement, start_run
+from sfmrl.runs.demonstrations import load_demonstrations
+from sfmrl.runs.files import SUMS, DamagedFile, append, read_checked, read_sums, write_atomically
+from sfmrl.runs.folders import DEMONSTRATIONS, LOCK, in_training, locked, run_folders, unfinished
+from sfmrl.runs.progress import no_progress
+from sfmrl.runs.run import Run, create_run, newest_run, open_run, sole_use
+from sfmrl.runs.stopping import Interrupted, StopSignal
+from sfmrl.runs.training import run_imitation, run_reinforcement, start_run
+from sfmrl.runs.weights import load_weights
 from sfmrl.variants import make_config
-from sfmrl.weights import load_weights
 
 TINY = make_config(imitation={"episodes": 10, "epochs": 3}, simulation={"time_limit": 14.0})
 
@@ -309,7 +309,7 @@ def test_a_training_that_diverges_stops_and_names_its_learning_rate(finished, tm
     run = start_run(
         override(TINY, {"optimizer": "sgd", "reinforcement": reinforcement}), finished, False, tmp_path / "rl"
     )
-    monkeypatch.setattr("sfmrl.training.CHECKPOINT_EVERY", 0.0)
+    monkeypatch.setattr("sfmrl.runs.training.CHECKPOINT_EVERY", 0.0)
     with pytest.raises(ConfigError, match="learning-rate 1000 is likely too high for SGD"):
         run_reinforcement(run, no_progress, StopSignal(), lambda text: None)
     assert not run.finished

@@ -12,8 +12,8 @@ import pytest
 import scipy.stats
 
 from sfmrl.config import ConfigError
-from sfmrl.files import csv_text
 from sfmrl.intervals import wilson
+from sfmrl.runs.files import csv_text
 from sfmrl.scenes import sample_scenes
 from sfmrl.study.curves import curve_rows, draw_curves
 from sfmrl.study.sheets import csv_rows, rate, sheets

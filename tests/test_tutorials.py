@@ -18,7 +18,7 @@ import pytest
 from conftest import ROOT, Interpreter, environment
 from nearness import near
 
-from sfmrl.bits import machine_bits
+from sfmrl.runs.bits import machine_bits
 
 PAGES = sorted(path for path in (ROOT / "tutorials").glob("*.md") if path.name[0].isdigit())
 FENCE = re.compile(r"^(<!-- minutes -->\n+)?```(\w*)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)

@@ -14,17 +14,17 @@ import pytest
 
 from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import RATES
-from sfmrl.files import csv_text, remove_checked, unlist
 from sfmrl.lessons import Finding
 from sfmrl.lessons.rerun import Disagreement, Rerun
 from sfmrl.lessons.verify import verify
 from sfmrl.network import ValueNetwork
-from sfmrl.progress import no_progress
-from sfmrl.runs import create_run
-from sfmrl.stopping import StopSignal
-from sfmrl.training import run_imitation, run_reinforcement, start_run
+from sfmrl.runs.files import csv_text, remove_checked, unlist
+from sfmrl.runs.progress import no_progress
+from sfmrl.runs.run import create_run
+from sfmrl.runs.stopping import StopSignal
+from sfmrl.runs.training import run_imitation, run_reinforcement, start_run
+from sfmrl.runs.weights import load_weights, save_weights
 from sfmrl.variants import make_config
-from sfmrl.weights import load_weights, save_weights
 
 
 @pytest.fixture(scope="module")

@@ -16,9 +16,9 @@ from sfmrl import __version__
 from sfmrl.cli import study, teach, test, train, watch
 from sfmrl.cli.console import say, say_result
 from sfmrl.config import ConfigError
-from sfmrl.files import DamagedFile
-from sfmrl.folders import as_words, finished, run_folders, unfinished
-from sfmrl.stopping import Interrupted
+from sfmrl.runs.files import DamagedFile
+from sfmrl.runs.folders import as_words, finished, run_folders, unfinished
+from sfmrl.runs.stopping import Interrupted
 
 INTERRUPTED = 130
 

@@ -5,7 +5,7 @@ Typer keeps those names that begin as the word that is typed.
 
 from collections.abc import Callable
 
-from sfmrl.folders import finished, in_training, run_folders
+from sfmrl.runs.folders import finished, in_training, run_folders
 from sfmrl.variants import MIXES, VARIANTS
 
 Completion = Callable[[], list[str]]
@@ -35,8 +35,8 @@ def rewards() -> list[str]:
 
 def policies() -> list[str]:
     """Return the policies with a name, networks that come with sfmrl, and the finished runs."""
-    from sfmrl.models import model_names
     from sfmrl.policies import POLICIES
+    from sfmrl.runs.models import model_names
 
     return [*POLICIES, *model_names(), *(folder.as_posix() for folder in run_folders() if finished(folder))]
 

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from sfmrl.config import ConfigError
-from sfmrl.files import regular
+from sfmrl.runs.files import regular
 
 WIDTH = 80  # columns of a table, at least
 MANY = 7  # rows of metrics; more have a line each

@@ -7,7 +7,7 @@ from typing import Any
 
 from sfmrl.cli.console import err, say
 from sfmrl.config import Config, ConfigError, counted, override
-from sfmrl.folders import as_words
+from sfmrl.runs.folders import as_words
 from sfmrl.variants import make_config
 
 
@@ -24,7 +24,7 @@ def new_config(variant: str | None, settings: dict[str, Any]) -> Config:
 def reopen(kind: str, folder: Path, given: list[Any], trust_reward: bool) -> Any:
     """Open the run to go on with; raises ConfigError where settings are `given`, since it keeps its own."""
     from sfmrl.own_code import trusted
-    from sfmrl.runs import open_run
+    from sfmrl.runs.run import open_run
 
     if any(value is not None for value in given):
         raise ConfigError(f"--resume takes every setting from {folder}; leave out all but --threads")
@@ -43,7 +43,7 @@ def existing(folder: Path | None, overwrite: bool, go_on: bool) -> dict[str, boo
 
 def finished(run: Any) -> bool:
     """Return whether a training has ended already; if so, say it and remove checkpoints that a killed process left."""
-    from sfmrl.runs import sole_use
+    from sfmrl.runs.run import sole_use
 
     if run.finished:
         if run.checkpoints():  # it was killed while it removed them
@@ -67,12 +67,12 @@ def on_run(command: str, run: Any) -> str:
 
 def train(run: Any, work: Callable[..., Any]) -> Any:
     """Train; raises Interrupted, which says how to go on, when it is asked to stop."""
-    from sfmrl.bits import machine_bits
     from sfmrl.own_code import reward_digest
-    from sfmrl.progress import show_progress
     from sfmrl.rewards import reward_terms
-    from sfmrl.runs import sole_use
-    from sfmrl.stopping import Interrupted, StopSignal
+    from sfmrl.runs.bits import machine_bits
+    from sfmrl.runs.progress import show_progress
+    from sfmrl.runs.run import sole_use
+    from sfmrl.runs.stopping import Interrupted, StopSignal
 
     how = on_run(f"{run.kind} --resume", run)
     if run.facts.get("own_reward") != reward_digest(run.config.reward):
@@ -101,10 +101,10 @@ def choose(
     Without a name, it is the newest finished run. The reward that a network looks ahead with is run if it is sfmrl's,
     if --reward names it, or with --trust-reward.
     """
-    from sfmrl.models import model_names
     from sfmrl.policies import POLICIES, find_weights, load_policy
     from sfmrl.recovery import with_recovery
-    from sfmrl.runs import newest_run
+    from sfmrl.runs.models import model_names
+    from sfmrl.runs.run import newest_run
 
     name = policy or str(newest_run())
     if not policy:
@@ -119,7 +119,7 @@ def choose(
 
 def say_habits(path: Path, config: Config) -> None:
     """Say on standard error what the files beside a CrowdNav checkpoint say that is otherwise under a config."""
-    from sfmrl.weights import other_habits
+    from sfmrl.runs.weights import other_habits
 
     for note in other_habits(path, config.simulation.robot_visible):
         say(note)

@@ -9,7 +9,7 @@ import typer
 from sfmrl.cli.console import err, new_file, out, print_sheet, say, say_result
 from sfmrl.cli.options import Overwrite, number_option, option
 from sfmrl.config import ConfigError
-from sfmrl.files import csv_text, write_text
+from sfmrl.runs.files import csv_text, write_text
 from sfmrl.variants import make_config
 
 app = typer.Typer()
@@ -126,8 +126,8 @@ def figure(
 def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:
     """Run what is not finished yet; raises Interrupted, or exits with 1 where some failed."""
     from sfmrl.lookahead import available_cores
-    from sfmrl.progress import show_progress
-    from sfmrl.stopping import Interrupted, StopSignal
+    from sfmrl.runs.progress import show_progress
+    from sfmrl.runs.stopping import Interrupted, StopSignal
     from sfmrl.study.jobs import Failed, Processes, RayWorkers, run_jobs
 
     with StopSignal(say) as stop:

@@ -13,7 +13,7 @@ from sfmrl.cli.console import WIDTH, err, new_file, out, print_table, say, say_f
 from sfmrl.cli.options import number_option, option, settings_options
 from sfmrl.cli.session import choose, drawn, use_threads
 from sfmrl.config import EPISODES, STEPS
-from sfmrl.files import csv_text, write_text
+from sfmrl.runs.files import csv_text, write_text
 
 app = typer.Typer()
 
@@ -85,7 +85,7 @@ def verify(
     run's own is Python code, and is run only with --trust-reward: read it first.
     """
     from sfmrl.lessons.verify import verify as findings_of
-    from sfmrl.progress import show_progress
+    from sfmrl.runs.progress import show_progress
 
     how = (episodes, tolerance, use_threads(threads), show_progress(err))
     wrong, unknown, count = _say_findings(findings_of(run, *how, trust_reward=trust_reward))

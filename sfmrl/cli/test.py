@@ -12,7 +12,7 @@ from sfmrl.cli.console import err, new_file, print_metrics, print_sheet, replay_
 from sfmrl.cli.options import option, settings_options
 from sfmrl.cli.session import among, choose, drawn
 from sfmrl.config import Config, ConfigError, counted, suggest
-from sfmrl.files import DamagedFile, csv_text, write_text
+from sfmrl.runs.files import DamagedFile, csv_text, write_text
 
 app = typer.Typer()
 
@@ -61,7 +61,7 @@ def evaluate_command(
 def _play(policies: Sequence[Any], config: Config, **test: Any) -> list[Any]:
     """Return the records of policies that play the same test episodes, under a config's simulation and reward."""
     from sfmrl.evaluation import evaluation_record
-    from sfmrl.progress import show_progress
+    from sfmrl.runs.progress import show_progress
 
     test |= {"simulation": config.simulation, "reward": config.reward, "progress": show_progress(err)}
     return [evaluation_record(policy, **test) for policy in policies]
@@ -152,7 +152,7 @@ def models(
     as_json: Annotated[bool, option("print JSON", "--json")] = False,
 ) -> None:
     """List the trained networks that come with sfmrl, one for each row of the paper's tables."""
-    from sfmrl.models import model_card, model_names
+    from sfmrl.runs.models import model_card, model_names
     from sfmrl.study.sheets import card_lines, model_sheet
 
     names = model_names()

@@ -30,8 +30,8 @@ def il(
     settings: dict[str, Any],
 ) -> None:
     """Imitation: learn from ORCA's demonstrations what situations are worth."""
-    from sfmrl.runs import create_run
-    from sfmrl.training import run_imitation
+    from sfmrl.runs.run import create_run
+    from sfmrl.runs.training import run_imitation
 
     if resume:
         given = [variant, run, overwrite or None, go_on or None, *settings.values()]
@@ -73,8 +73,8 @@ def rl(
 ) -> None:
     """Reinforcement: deep V-learning on from what imitation gave, then a test."""
     from sfmrl.maps import why_unsolvable
+    from sfmrl.runs.training import run_reinforcement, start_run
     from sfmrl.scenes import label, sample_scenes
-    from sfmrl.training import run_reinforcement, start_run
 
     workers = use_threads(threads)
     if resume:

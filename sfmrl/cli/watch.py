@@ -155,8 +155,8 @@ def _play(
 
 def _write(files: dict[str, Path], replay: Any, room: tuple[int, int], stills: dict[str, Any], speed: float) -> None:
     """Write the replay to the files of some flags, and say so; `stills` is what `Replay.frames` takes for a picture."""
-    from sfmrl.files import write_atomically
     from sfmrl.replay import to_cast, to_svg
+    from sfmrl.runs.files import write_atomically
 
     colour = not out.no_color
     for flag, path in files.items():

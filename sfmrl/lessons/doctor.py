@@ -78,8 +78,8 @@ def _two_threads() -> Finding:
 
 def _processor() -> Finding:
     """Which bits processor and libraries compute; where they are equal, so are the numbers of a training."""
-    from sfmrl.bits import machine_bits
     from sfmrl.lookahead import available_cores
+    from sfmrl.runs.bits import machine_bits
 
     cores = f"{available_cores()} usable cores of {os.cpu_count() or 1}"
     return Finding("processor", None, f"{platform.machine()}, {cores}, bits {machine_bits()}")

@@ -7,19 +7,19 @@ from typing import Any
 import numpy as np
 
 from sfmrl.config import Reward, counted
-from sfmrl.demonstrations import load_demonstrations
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.evaluation import episode_rows, evaluation_record
-from sfmrl.files import json_object, read_listed, read_table
-from sfmrl.folders import DEMONSTRATIONS, WEIGHTS
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.policies import orca_policy
-from sfmrl.progress import Progress
 from sfmrl.recovery import with_recovery
-from sfmrl.runs import Run
+from sfmrl.runs.demonstrations import load_demonstrations
+from sfmrl.runs.files import json_object, read_listed, read_table
+from sfmrl.runs.folders import DEMONSTRATIONS, WEIGHTS
+from sfmrl.runs.progress import Progress
+from sfmrl.runs.run import Run
+from sfmrl.runs.training import EVALUATION_SEED
+from sfmrl.runs.weights import load_weights
 from sfmrl.scenes import sample_scenes, thinned
-from sfmrl.training import EVALUATION_SEED
-from sfmrl.weights import load_weights
 
 TIME_TOLERANCE = 0.05  # by how much times may differ, in half of the episodes, where the bits differ
 

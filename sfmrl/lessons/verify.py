@@ -10,15 +10,15 @@ from typing import Any
 
 from sfmrl.config import ConfigError, counted
 from sfmrl.evaluation import RATES
-from sfmrl.files import SUMS, DamagedFile, digest_of, read_regular, read_sums, read_table
-from sfmrl.folders import BEST, DEMONSTRATIONS, MAP, WEIGHTS, unfinished
 from sfmrl.lessons import Finding
 from sfmrl.lessons.rerun import Disagreement, Rerun, outcomes, result_of
 from sfmrl.own_code import UntrustedReward, reward_digest, trusted
-from sfmrl.progress import Progress
-from sfmrl.runs import CHECKPOINT, Run, open_run, versions
+from sfmrl.runs.files import SUMS, DamagedFile, digest_of, read_regular, read_sums, read_table
+from sfmrl.runs.folders import BEST, DEMONSTRATIONS, MAP, WEIGHTS, unfinished
+from sfmrl.runs.progress import Progress
+from sfmrl.runs.run import CHECKPOINT, Run, open_run, versions
+from sfmrl.runs.weights import load_weights
 from sfmrl.scenes import DRAWN
-from sfmrl.weights import load_weights
 
 TOLERANCE = 0.05  # share of episodes that may end otherwise where this machine does not compute the bits of the run
 ODD = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError)  # what odd content leads its readers to

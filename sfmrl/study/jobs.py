@@ -21,10 +21,10 @@ from functools import cache
 from pathlib import Path
 
 from sfmrl.config import ConfigError, counted
-from sfmrl.files import read_regular, regular
-from sfmrl.folders import finished
-from sfmrl.progress import Progress
-from sfmrl.stopping import Interrupted, StopSignal
+from sfmrl.runs.files import read_regular, regular
+from sfmrl.runs.folders import finished
+from sfmrl.runs.progress import Progress
+from sfmrl.runs.stopping import Interrupted, StopSignal
 
 POLL_INTERVAL = 0.5  # s
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from sfmrl.config import ConfigError, suggest
-from sfmrl.files import json_object, read_listed, read_table
-from sfmrl.folders import finished
+from sfmrl.runs.files import json_object, read_listed, read_table
+from sfmrl.runs.folders import finished
 from sfmrl.study.jobs import Job
 
 MOST_SEEDS = 1000  # of a table

@@ -30,10 +30,12 @@ from typing import Any
 import numpy as np
 
 from sfmrl import __version__
-from sfmrl.bits import machine_bits
 from sfmrl.config import Config, ConfigError
 from sfmrl.fast import FastNetwork, kernels
-from sfmrl.files import (
+from sfmrl.own_code import reward_digest
+from sfmrl.rewards import reward_terms
+from sfmrl.runs.bits import machine_bits
+from sfmrl.runs.files import (
     SUMS,
     TEMPORARY,
     DamagedFile,
@@ -49,7 +51,7 @@ from sfmrl.files import (
     write_text,
     write_together,
 )
-from sfmrl.folders import (
+from sfmrl.runs.folders import (
     BEST,
     DEMONSTRATIONS,
     KINDS,
@@ -66,11 +68,9 @@ from sfmrl.folders import (
     locked,
     run_folders,
 )
-from sfmrl.own_code import reward_digest
-from sfmrl.rewards import reward_terms
+from sfmrl.runs.weights import weights_file
 from sfmrl.scenes import DRAWN, parse_mix
 from sfmrl.variants import variant_name
-from sfmrl.weights import weights_file
 
 OLDER = ("0.1.", "0.2.")  # versions whose runs hold other weights and checkpoints
 KEEP = 2  # checkpoints kept: the newest, and one to fall back on

@@ -8,9 +8,9 @@ import numpy as np
 
 from sfmrl.config import Simulation
 from sfmrl.episodes import Record
-from sfmrl.files import DamagedFile, read_checked, write_atomically
 from sfmrl.geometry import length
 from sfmrl.rewards import Transition
+from sfmrl.runs.files import DamagedFile, read_checked, write_atomically
 from sfmrl.scenes import Scenes
 
 DERIVED = ("time_step", "goal_distance_before")  # fields of a transition that the file does not hold

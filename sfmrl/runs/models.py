@@ -7,9 +7,9 @@ and the SHA-256 of its weights.
 from pathlib import Path
 from typing import Any
 
-from sfmrl.files import DamagedFile, digest_of, json_object, read_regular
+from sfmrl.runs.files import DamagedFile, digest_of, json_object, read_regular
 
-FOLDER = Path(__file__).parent / "models"
+FOLDER = Path(__file__).parent.parent / "models"
 
 
 def model_names() -> list[str]:

@@ -6,26 +6,26 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from sfmrl.bits import machine_bits
 from sfmrl.config import Config, ConfigError, Reinforcement
-from sfmrl.demonstrations import load_demonstrations, save_demonstrations
 from sfmrl.episodes import Record
 from sfmrl.evaluation import episode_rows, evaluation_record, metrics
 from sfmrl.fast import FastNetwork
 from sfmrl.fast.explorer import Explorer
-from sfmrl.files import DamagedFile, digest_of, read_sums
-from sfmrl.folders import BEST, DEMONSTRATIONS, run_folders, unfinished
 from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
 from sfmrl.learning import Learner
 from sfmrl.lookahead import Policy, RememberingPolicy, SarlPolicy
 from sfmrl.policies import WEIGHTS
-from sfmrl.progress import Progress, no_progress
 from sfmrl.recovery import with_recovery
 from sfmrl.reinforcement import reinforce
-from sfmrl.runs import Run, check_names, create_run, open_run
+from sfmrl.runs.bits import machine_bits
+from sfmrl.runs.demonstrations import load_demonstrations, save_demonstrations
+from sfmrl.runs.files import DamagedFile, digest_of, read_sums
+from sfmrl.runs.folders import BEST, DEMONSTRATIONS, run_folders, unfinished
+from sfmrl.runs.progress import Progress, no_progress
+from sfmrl.runs.run import Run, check_names, create_run, open_run
+from sfmrl.runs.stopping import Interrupted, StopSignal
+from sfmrl.runs.weights import load_weights, network_from, save_weights
 from sfmrl.states import column_names
-from sfmrl.stopping import Interrupted, StopSignal
-from sfmrl.weights import load_weights, network_from, save_weights
 
 CHECKPOINT_EVERY = 20.0  # seconds between checkpoints; when they are taken changes no number
 EVALUATION_SEED = 0  # validation and test are the same episodes for every training seed, so that runs compare in pairs

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sfmrl.config import ConfigError
-from sfmrl.files import DamagedFile, json_object, read_regular, regular
+from sfmrl.runs.files import DamagedFile, json_object, read_regular, regular
 
 try:
     import fcntl

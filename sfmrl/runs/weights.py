@@ -12,7 +12,7 @@ import numpy as np
 from sfmrl.config import Config, ConfigError
 from sfmrl.fast import FastNetwork
 from sfmrl.fast.layers import Parameters, Sizes, layer_shapes
-from sfmrl.files import DamagedFile, read_listed, read_regular, write_atomically
+from sfmrl.runs.files import DamagedFile, read_listed, read_regular, write_atomically
 from sfmrl.states import OWN, column_names
 
 WRAPPERS = ("state_dict", "model_state_dict", "model")  # keys under which a file may hold its parameters
