@@ -16,7 +16,8 @@ _HOME = {
     "orca": ("orca_velocities",),
     "network": ("ValueNetwork",),
     "fast": ("FastNetwork",),
-    "runs.weights": ("load_weights", "save_weights", "export_weights"),
+    "runs.weights": ("load_weights", "save_weights"),
+    "runs.crowdnav": ("export_weights",),
     "scenes": ("Scenes", "sample_scenes"),
     "maps": ("read_map", "load_map", "draw_map"),
     "rewards": (

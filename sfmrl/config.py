@@ -13,8 +13,6 @@ from dataclasses import Field, asdict, dataclass, field, fields, is_dataclass, r
 from numbers import Integral, Real
 from typing import Any
 
-from sfmrl.runs.files import json_object
-
 
 class ConfigError(ValueError):
     """A setting that cannot be used; its text is one line that names the setting and the remedy."""
@@ -276,6 +274,17 @@ def override(config: Any, changes: Mapping[str, Any]) -> Any:
         old = getattr(config, name)
         values[name] = override(old, value) if is_dataclass(old) else value
     return replace(config, **values)
+
+
+def json_object(text: str | bytes) -> dict[str, Any]:
+    """The object that a JSON text holds; raises ValueError where it holds none."""
+    try:
+        content = json.loads(text)
+    except (TypeError, ValueError, RecursionError):
+        raise ValueError("it is not JSON") from None
+    if not isinstance(content, dict):
+        raise ValueError("it is not a JSON object")
+    return content
 
 
 # The crowd's own social forces, for `--crowd sfm`: Helbing and Molnar's 2.1 m^2/s^2 over 0.3 m, from surface to

@@ -4,6 +4,7 @@ Their arguments are read-only, so that none can forge a result, and each of thei
 A reward that a run or weights file names is `Untrusted` and is not run: code does not travel with files.
 """
 
+import hashlib
 import importlib
 import inspect
 import runpy
@@ -17,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from sfmrl.config import Config, ConfigError, Reward, Untrusted, suggest
-from sfmrl.runs.files import digest_of
 
 
 class UntrustedReward(ConfigError):
@@ -137,7 +137,7 @@ def absolute(name: str) -> str:
 def reward_digest(settings: Reward) -> str | None:
     """SHA-256 of the file that an own reward is in, None without a file; raises ConfigError if it is missing."""
     file = _file(settings.reward)
-    return digest_of(file) if file else None
+    return hashlib.sha256(file.read_bytes()).hexdigest() if file else None
 
 
 def _file(name: str) -> Path | None:

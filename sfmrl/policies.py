@@ -5,15 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from sfmrl.config import ConfigError, suggest
+from sfmrl.config import ConfigError
 from sfmrl.crowd import World, orca_crowd, sfm_crowd
 from sfmrl.geometry import direction
 from sfmrl.lookahead import Policy, SarlPolicy, available_cores
 from sfmrl.own_code import kind, trusted
 from sfmrl.recovery import with_recovery
-from sfmrl.runs.files import read_checked
-from sfmrl.runs.folders import OLD, WEIGHTS, unfinished
-from sfmrl.runs.models import model_names, model_weights
 
 
 def linear_policy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
@@ -36,7 +33,6 @@ def sfm_policy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
     return sfm_crowd(world, world.position)[:, 0]
 
 
-CROWDNAV = "rl_model.pth"  # in the output folder of CrowdNav's training
 POLICIES: dict[str, Policy] = {"linear": linear_policy, "orca": orca_policy, "sfm": sfm_policy}
 
 
@@ -60,35 +56,8 @@ def load_policy(name_or_path: str | Path, threads: int | None = None, *, trust_r
     """
     if str(name_or_path) in POLICIES:
         return POLICIES[str(name_or_path)]
-    from sfmrl.runs.weights import load_weights
+    from sfmrl.runs.weights import find_weights, load_weights
 
     network, config = load_weights(find_weights(name_or_path))
     config = trusted(config, trust_reward)
     return with_recovery(SarlPolicy(network, config, threads or available_cores()), config.planner)
-
-
-def find_weights(name_or_path: str | Path) -> Path:
-    """The weights file that a model's name, a run folder, CrowdNav's output folder or a path stands for.
-
-    Raises ConfigError where there is none, DamagedFile where it is not the one that came with sfmrl.
-    """
-    models = model_names()
-    path = model_weights(str(name_or_path)) if str(name_or_path) in models else Path(name_or_path)
-    if not path.exists():
-        known = [*POLICIES, *models]
-        raise ConfigError(
-            f"there is no policy {name_or_path}; name {', '.join(POLICIES)}, a model (see sfmrl models), a run folder "
-            f"or a weights file{suggest(path, known)}"
-        )
-    if not path.is_dir():
-        return path
-    if (path / CROWDNAV).exists() and not (path / "run.json").exists():
-        return path / CROWDNAV
-    if not any((path / name).exists() for name in ("run.json", WEIGHTS, OLD[0])):
-        raise ConfigError(f"{path} is not a run folder: it has neither run.json nor {WEIGHTS}; name one that has")
-    for name in ("run.json", "config.json") if (path / "run.json").exists() else ():
-        read_checked(path / name)
-    for name in (WEIGHTS, OLD[0]):
-        if (path / name).exists():
-            return path / name
-    raise ConfigError(unfinished(path))

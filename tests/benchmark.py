@@ -35,10 +35,9 @@ from sfmrl.network import ValueNetwork
 from sfmrl.planner import plan
 from sfmrl.policies import orca_policy
 from sfmrl.recovery import RecoveringPolicy
-from sfmrl.runs.progress import no_progress
-from sfmrl.runs.run import create_run
-from sfmrl.runs.stopping import StopSignal
-from sfmrl.runs.training import run_imitation, run_reinforcement, start_run
+from sfmrl.runs.create import create_run, start_run
+from sfmrl.runs.progress import StopSignal, no_progress
+from sfmrl.runs.training import run_imitation, run_reinforcement
 from sfmrl.scenes import BARRIER, Scenes, sample_scenes
 from sfmrl.variants import make_config
 

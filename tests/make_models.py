@@ -2,8 +2,8 @@
 
 For each row of both tables, quick preset, the seed whose validations in the second half of its training were the best
 on the mean (of several, the lowest) is taken: the test episodes have no say in it. Its weights and card go to
-sfmrl/models/; a card of the same weights stays. Without arguments, the networks that are there are tested anew and their
-cards renewed.
+sfmrl/models/; a card of the same weights stays. Without arguments, the networks that are there are tested anew and
+their cards renewed.
 """
 
 import json
@@ -14,12 +14,11 @@ from typing import Any
 
 from sfmrl.evaluation import evaluation_record, metrics
 from sfmrl.lookahead import RememberingPolicy, available_cores
-from sfmrl.policies import WEIGHTS
 from sfmrl.recovery import with_recovery
 from sfmrl.runs.bits import machine_bits
-from sfmrl.runs.models import FOLDER
+from sfmrl.runs.folders import WEIGHTS
 from sfmrl.runs.run import open_run
-from sfmrl.runs.weights import load_weights, save_weights
+from sfmrl.runs.weights import MODELS, load_weights, save_weights
 from sfmrl.study.tables import TABLES, Trained, make_jobs, parse_seeds, read_row, run_folder
 
 PRESET = "quick"
@@ -43,13 +42,13 @@ def figures(policy: Any, environment: str, episodes: int) -> tuple[dict[str, Any
 
 def write_card(card: dict[str, Any], episodes: int) -> None:
     """Test a model alone and with recovery, and write its card."""
-    network, config = load_weights(FOLDER / f"{card['name']}.npz")
+    network, config = load_weights(MODELS / f"{card['name']}.npz")
     policy = RememberingPolicy(network, config, available_cores())
     alone, _ = figures(policy, card["environment"], episodes)
     helped, outcomes = figures(with_recovery(policy, config.planner), card["environment"], episodes)
     card = card | {"bits": machine_bits(), "alone": alone, "with_recovery": helped}
     card["outcomes"] = "".join(outcome[0] for outcome in outcomes)
-    (FOLDER / f"{card['name']}.json").write_text(json.dumps(card, indent=2) + "\n")
+    (MODELS / f"{card['name']}.json").write_text(json.dumps(card, indent=2) + "\n")
     found = f"alone {alone['success']:.3f}, with recovery {helped['success']:.3f}"
     print(f"{card['name']}: seed {card['seed']}, {found}", flush=True)
 
@@ -59,8 +58,8 @@ def make_model(name: str, number: int, row: str, tested: Trained, folder: Path) 
     run = open_run(run_folder(folder, number, PRESET, row, seed))
     network, config = load_weights(run.folder / WEIGHTS)
     config = replace(config, planner=replace(config.planner, recover=True))  # at play; no training sees it
-    digest, path = save_weights(network, config, FOLDER / f"{name}.npz"), FOLDER / f"{name}.json"
-    (FOLDER / "SHA256SUMS").unlink()  # the card has it
+    digest, path = save_weights(network, config, MODELS / f"{name}.npz"), MODELS / f"{name}.json"
+    (MODELS / "SHA256SUMS").unlink()  # the card has it
     if path.exists() and json.loads(path.read_text())["sha256"] == digest:
         return
     card = {
@@ -93,6 +92,6 @@ if __name__ == "__main__":
     if len(sys.argv) > 1:
         make_models(Path(sys.argv[1]), parse_seeds(sys.argv[2]))
     else:
-        for path in sorted(FOLDER.glob("*.json")):
+        for path in sorted(MODELS.glob("*.json")):
             known = json.loads(path.read_text())
             write_card(known, known["alone"]["episodes"])

@@ -23,10 +23,9 @@ from sfmrl.learning import OPTIMIZERS, learn
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.policies import orca_policy
 from sfmrl.runs.bits import machine_bits
-from sfmrl.runs.progress import no_progress
-from sfmrl.runs.run import create_run
-from sfmrl.runs.stopping import StopSignal
-from sfmrl.runs.training import run_imitation, run_reinforcement, start_run
+from sfmrl.runs.create import create_run, start_run
+from sfmrl.runs.progress import StopSignal, no_progress
+from sfmrl.runs.training import run_imitation, run_reinforcement
 from sfmrl.runs.weights import load_weights
 from sfmrl.scenes import sample_scenes
 from sfmrl.variants import make_config

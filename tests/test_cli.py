@@ -32,10 +32,9 @@ from sfmrl.network import ValueNetwork
 from sfmrl.policies import POLICIES
 from sfmrl.rewards import REWARDS
 from sfmrl.runs.bits import machine_bits
+from sfmrl.runs.create import create_run
 from sfmrl.runs.folders import locked, unfinished
-from sfmrl.runs.models import model_names
-from sfmrl.runs.run import create_run
-from sfmrl.runs.weights import load_weights
+from sfmrl.runs.weights import load_weights, model_names
 from sfmrl.scenes import ENVIRONMENTS
 from sfmrl.variants import MIXES, PRESETS, VARIANTS, make_config
 
@@ -189,7 +188,7 @@ def test_pipes_are_no_files_and_are_not_waited_for(in_process: Call, tmp_path: P
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"sha256": 3}', "[" * 100_000])
 def test_a_model_s_odd_card_is_one_error(in_process: Call, monkeypatch, tmp_path: Path, text):
-    monkeypatch.setattr("sfmrl.runs.models.FOLDER", tmp_path)
+    monkeypatch.setattr("sfmrl.runs.weights.MODELS", tmp_path)
     (tmp_path / "odd.json").write_text(text)
     (tmp_path / "odd.pt").write_bytes(b"")
     for words in (("models",), ("eval", "odd", "--episodes", "1")):

@@ -18,12 +18,12 @@ from sfmrl.cli import main
 from sfmrl.config import Config, ConfigError
 from sfmrl.lessons.verify import verify
 from sfmrl.policies import load_policy
+from sfmrl.runs.create import create_run
 from sfmrl.runs.demonstrations import load_demonstrations
 from sfmrl.runs.files import SUMS, DamagedFile, read_sums, write_atomically
 from sfmrl.runs.folders import DEMONSTRATIONS, LOCK, TABLES, kind_of
-from sfmrl.runs.progress import no_progress
-from sfmrl.runs.run import create_run, open_run
-from sfmrl.runs.stopping import StopSignal
+from sfmrl.runs.progress import StopSignal, no_progress
+from sfmrl.runs.run import open_run
 from sfmrl.runs.training import run_imitation
 from sfmrl.study.jobs import pack, unpack
 from sfmrl.study.tables import read_row, run_folder

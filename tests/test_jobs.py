@@ -13,7 +13,7 @@ import pytest
 from conftest import environment
 
 from sfmrl.runs.folders import WEIGHTS, finished
-from sfmrl.runs.stopping import Interrupted, StopSignal
+from sfmrl.runs.progress import Interrupted, StopSignal
 from sfmrl.study.jobs import Failed, Job, Processes, RayWorkers, pack, run_jobs, unpack
 
 TINY_IL = ("--episodes", "12", "--epochs", "1", "--threads", "1")

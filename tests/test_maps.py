@@ -16,10 +16,11 @@ from sfmrl.maps import why_unsolvable
 from sfmrl.maps.format import parse
 from sfmrl.planner import solvable
 from sfmrl.recovery import with_recovery
-from sfmrl.runs.progress import no_progress
+from sfmrl.runs.create import start_run
+from sfmrl.runs.folders import finished
+from sfmrl.runs.progress import Interrupted, StopSignal, no_progress
 from sfmrl.runs.run import open_run
-from sfmrl.runs.stopping import Interrupted, StopSignal
-from sfmrl.runs.training import run_reinforcement, start_run
+from sfmrl.runs.training import run_reinforcement
 from sfmrl.scenes import elements_of
 from sfmrl.variants import make_config
 
@@ -313,7 +314,7 @@ def test_an_interrupted_training_on_a_map_goes_on_from_its_folder_alone(tmp_path
     assert bars == [["reinforcement", 4, 4], ["test", 2, 2], ["test", 2, 2]]  # one for the whole training
     assert [line.partition(":")[0] for line in said] == [f"validation at {episode} of 4" for episode in (0, 2, 4)]
     assert result["episodes"] == 2
-    assert open_run(run.folder).finished
+    assert finished(run.folder)
 
 
 def test_commands_use_maps_and_say_what_is_wrong_in_a_line(sfmrl: Callable, tmp_path: Path):

@@ -9,11 +9,10 @@ import pytest
 from sfmrl.evaluation import evaluation_record
 from sfmrl.intervals import wilson
 from sfmrl.policies import load_policy
-from sfmrl.runs import models
+from sfmrl.runs import weights
 from sfmrl.runs.bits import machine_bits
 from sfmrl.runs.files import DamagedFile
-from sfmrl.runs.models import model_card, model_names, model_weights
-from sfmrl.runs.weights import load_weights
+from sfmrl.runs.weights import load_weights, model_card, model_names, model_weights
 from sfmrl.study.tables import TABLES
 from sfmrl.variants import make_config, variant_name
 
@@ -55,8 +54,8 @@ def test_a_model_does_on_100_episodes_what_its_card_says(name):
 
 
 def test_a_changed_model_is_refused(tmp_path, monkeypatch):
-    shutil.copytree(models.FOLDER, tmp_path / "models")
-    monkeypatch.setattr(models, "FOLDER", tmp_path / "models")
+    shutil.copytree(weights.MODELS, tmp_path / "models")
+    monkeypatch.setattr(weights, "MODELS", tmp_path / "models")
     path = model_weights(NAMES[0])
     path.write_bytes(path.read_bytes() + b"x")
     with pytest.raises(DamagedFile, match="install sfmrl again"):

@@ -20,8 +20,9 @@ from sfmrl.evaluation import evaluation_record, metrics
 from sfmrl.fast import Sizes, as_fast
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import load_policy
+from sfmrl.runs.crowdnav import export_weights, other_habits
 from sfmrl.runs.files import DamagedFile
-from sfmrl.runs.weights import export_weights, load_weights, other_habits, save_weights
+from sfmrl.runs.weights import load_weights, save_weights
 from sfmrl.states import OWN, column_names
 from sfmrl.variants import make_config
 

@@ -18,7 +18,8 @@ from sfmrl.network import ValueNetwork
 from sfmrl.own_code import UntrustedReward, trusted
 from sfmrl.policies import load_policy
 from sfmrl.rewards import Transition, reward_terms
-from sfmrl.runs.run import create_run, open_run
+from sfmrl.runs.create import create_run
+from sfmrl.runs.folders import finished
 from sfmrl.runs.weights import load_weights, save_weights
 from sfmrl.scenes import Scenes, sample_scenes
 from sfmrl.variants import make_config
@@ -327,4 +328,4 @@ def test_a_run_with_a_reward_of_its_own_goes_on_only_if_that_is_trusted(own, com
     was_run(own)
     assert command("il", "--resume", "run", "--trust-reward").returncode == 0
     assert was_run(own)
-    assert open_run(Path("run")).finished
+    assert finished(Path("run"))

@@ -26,7 +26,6 @@ LEVELS = (
         "runs.folders",
         "geometry",
         "runs.progress",
-        "runs.stopping",
         "intervals",
     ),
     (
@@ -43,8 +42,6 @@ LEVELS = (
         "fast",
         "network",
         "runs.bits",
-        "runs.weights",
-        "runs.models",
     ),
     (
         "scenes",
@@ -59,6 +56,8 @@ LEVELS = (
         "lookahead",
         "recovery",
         "policies",
+        "runs.crowdnav",
+        "runs.weights",
         "episodes",
     ),
     (
@@ -70,6 +69,7 @@ LEVELS = (
         "imitation",
         "reinforcement",
         "runs.run",
+        "runs.create",
         "runs.demonstrations",
         "runs.training",
     ),
@@ -115,7 +115,8 @@ LEVELS = (
     ),
 )
 ORDER = [name for level in LEVELS for name in level]
-LATER = {"scenes": {"maps"}}  # imported inside a function, where a name may be of a map
+# Imported inside a function, where a name may be of a map, or of a network.
+LATER = {"scenes": {"maps"}, "policies": {"runs.weights"}}
 WITH_TORCH = {"network"}
 PACKAGE = sorted((ROOT / "sfmrl").rglob("*.py"))
 MODELS = sorted((ROOT / "sfmrl" / "models").iterdir())

@@ -21,14 +21,14 @@ from sfmrl.cli import greeting
 from sfmrl.config import Config, ConfigError, override
 from sfmrl.imitation import demonstrate
 from sfmrl.maps import load_map
-from sfmrl.policies import WEIGHTS, load_policy
+from sfmrl.policies import load_policy
+from sfmrl.runs.create import create_run, start_run
 from sfmrl.runs.demonstrations import load_demonstrations
 from sfmrl.runs.files import SUMS, DamagedFile, append, read_checked, read_sums, write_atomically
-from sfmrl.runs.folders import DEMONSTRATIONS, LOCK, in_training, locked, run_folders, unfinished
-from sfmrl.runs.progress import no_progress
-from sfmrl.runs.run import Run, create_run, newest_run, open_run, sole_use
-from sfmrl.runs.stopping import Interrupted, StopSignal
-from sfmrl.runs.training import run_imitation, run_reinforcement, start_run
+from sfmrl.runs.folders import DEMONSTRATIONS, LOCK, WEIGHTS, finished, in_training, locked, run_folders, unfinished
+from sfmrl.runs.progress import Interrupted, StopSignal, no_progress
+from sfmrl.runs.run import Run, newest_run, open_run, sole_use
+from sfmrl.runs.training import run_imitation, run_reinforcement
 from sfmrl.runs.weights import load_weights
 from sfmrl.variants import make_config
 
@@ -36,7 +36,7 @@ TINY = make_config(imitation={"episodes": 10, "epochs": 3}, simulation={"time_li
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory) -> Path:
+def whole(tmp_path_factory) -> Path:
     """A finished imitation run; tests that damage it work on a copy."""
     run = create_run("il", TINY, tmp_path_factory.mktemp("finished") / "run")
     run_imitation(run, no_progress, StopSignal())
@@ -44,15 +44,15 @@ def finished(tmp_path_factory) -> Path:
 
 
 @pytest.fixture
-def folder(finished, tmp_path) -> Path:
-    return Path(shutil.copytree(finished, tmp_path / "run"))
+def folder(whole, tmp_path) -> Path:
+    return Path(shutil.copytree(whole, tmp_path / "run"))
 
 
 @pytest.fixture
-def interrupted(finished, tmp_path) -> Path:
+def interrupted(whole, tmp_path) -> Path:
     """The same run, stopped after each of its three epochs and not taken to its end."""
     run = create_run("il", TINY, tmp_path / "interrupted")
-    write_atomically(run.folder / DEMONSTRATIONS, (finished / DEMONSTRATIONS).read_bytes())
+    write_atomically(run.folder / DEMONSTRATIONS, (whole / DEMONSTRATIONS).read_bytes())
     stop = StopSignal()
     stop.requested = True
     for _ in range(3):
@@ -125,7 +125,7 @@ def test_sha256sum_can_check_a_finished_run_folder(folder):
 
 def test_a_finished_run_opens_with_its_config_and_facts(folder):
     run = open_run(folder, "il")
-    assert run.finished
+    assert finished(folder)
     assert run.config == TINY
     assert {"kind", "variant", "created", "command", "versions"} <= set(run.facts)
     assert (folder / "metrics.csv").read_text().splitlines()[0] == "epoch,loss"
@@ -266,9 +266,9 @@ ODD_CHECKPOINTS = {
 
 
 @pytest.mark.parametrize("what", ODD_CHECKPOINTS)
-def test_a_checkpoint_of_something_else_is_one_error(interrupted, finished, tmp_path, what):
+def test_a_checkpoint_of_something_else_is_one_error(interrupted, whole, tmp_path, what):
     other = override(TINY, {"forces": True})  # so that the network is fitted again
-    for run in (open_run(interrupted), start_run(other, finished, False, tmp_path / "rl")):
+    for run in (open_run(interrupted), start_run(other, whole, False, tmp_path / "rl")):
         run.save_checkpoint(ODD_CHECKPOINTS[what])
         work = run_imitation if run.kind == "il" else partial(run_reinforcement, say=lambda text: None)
         with pytest.raises(DamagedFile, match=r"checkpoint-\d+.npz is no checkpoint of this run"):
@@ -297,22 +297,20 @@ def test_demonstrations_that_are_not_finite_are_not_learnt_from(folder, what):
         load_demonstrations(path, TINY.simulation)
 
 
-def test_a_training_that_diverges_stops_and_names_its_learning_rate(finished, tmp_path, monkeypatch):
+def test_a_training_that_diverges_stops_and_names_its_learning_rate(whole, tmp_path, monkeypatch):
     wild = {"optimizer": "sgd", "imitation": {"learning_rate": 100.0}}
     run = create_run("il", override(TINY, wild), tmp_path / "il")
     with pytest.raises(ConfigError, match="learning-rate 100 is likely too high for SGD"):
         run_imitation(run, no_progress, StopSignal())
-    assert not run.finished
+    assert not finished(run.folder)
     assert all(np.isfinite(value).all() for value in run.load_checkpoint()["fit"]["network"].values())
     reinforcement = {"episodes": 20, "parallel": 5, "learning_rate": 1000.0}
     reinforcement |= {"validation_episodes": 1, "environment": "5", "test_environment": "5", "average": 0}
-    run = start_run(
-        override(TINY, {"optimizer": "sgd", "reinforcement": reinforcement}), finished, False, tmp_path / "rl"
-    )
+    run = start_run(override(TINY, {"optimizer": "sgd", "reinforcement": reinforcement}), whole, False, tmp_path / "rl")
     monkeypatch.setattr("sfmrl.runs.training.CHECKPOINT_EVERY", 0.0)
     with pytest.raises(ConfigError, match="learning-rate 1000 is likely too high for SGD"):
         run_reinforcement(run, no_progress, StopSignal(), lambda text: None)
-    assert not run.finished
+    assert not finished(run.folder)
     assert run.load_checkpoint() is None  # there was none yet
 
 
@@ -322,29 +320,29 @@ def test_damaged_sums_are_an_error_too(folder):
         open_run(folder)
 
 
-def test_a_damaged_checkpoint_can_be_gone_around_to_the_same_bits(interrupted, finished):
+def test_a_damaged_checkpoint_can_be_gone_around_to_the_same_bits(interrupted, whole):
     run = open_run(interrupted)
     run.checkpoints()[-1].unlink()
     run_imitation(run, no_progress, StopSignal())
-    assert (run.folder / WEIGHTS).read_bytes() == (finished / WEIGHTS).read_bytes()
-    assert (run.folder / "metrics.csv").read_text() == (finished / "metrics.csv").read_text()
+    assert (run.folder / WEIGHTS).read_bytes() == (whole / WEIGHTS).read_bytes()
+    assert (run.folder / "metrics.csv").read_text() == (whole / "metrics.csv").read_text()
 
 
-def test_stopping_keeps_a_checkpoint_and_raises(tmp_path, finished):
+def test_stopping_keeps_a_checkpoint_and_raises(tmp_path, whole):
     run = create_run("il", TINY, tmp_path / "run")
     stop = StopSignal()
     stop.requested = True
     with pytest.raises(Interrupted):  # of demonstrations nothing is kept until all are there
         run_imitation(run, no_progress, stop)
     assert run.load_checkpoint() is None
-    write_atomically(run.folder / DEMONSTRATIONS, (finished / DEMONSTRATIONS).read_bytes())
+    write_atomically(run.folder / DEMONSTRATIONS, (whole / DEMONSTRATIONS).read_bytes())
     for epoch in (1, 2, 3):
         with pytest.raises(Interrupted):
             run_imitation(run, no_progress, stop)
         assert run.load_checkpoint()["fit"]["epoch"] == epoch
-        assert not run.finished
+        assert not finished(run.folder)
     run_imitation(run, no_progress, stop)
-    assert (run.folder / WEIGHTS).read_bytes() == (finished / WEIGHTS).read_bytes()
+    assert (run.folder / WEIGHTS).read_bytes() == (whole / WEIGHTS).read_bytes()
 
 
 def test_the_first_signal_is_a_request_and_the_second_acts_at_once():
@@ -398,8 +396,8 @@ def test_only_a_run_or_an_empty_folder_is_ever_replaced(tmp_path):
         create_run("il", Config(), other / "thesis.tex", overwrite=True)
 
 
-def test_overwriting_removes_only_what_a_run_writes(tmp_path, finished):
-    run = Path(shutil.copytree(finished, tmp_path / "run"))
+def test_overwriting_removes_only_what_a_run_writes(tmp_path, whole):
+    run = Path(shutil.copytree(whole, tmp_path / "run"))
     (run / "checkpoint-000009.npz").touch()
     for name in ("thesis.tex", "map.txt", ".notes.tmp", "checkpoint-best.pt"):
         (run / name).write_text("years of work")

@@ -9,7 +9,7 @@ import sys
 import pytest
 from conftest import environment
 
-from sfmrl.runs.stopping import SIGNALS, StopSignal, held_back
+from sfmrl.runs.progress import SIGNALS, StopSignal, held_back
 
 termios = pytest.importorskip("termios")
 SFMRL = [sys.executable, "-m", "sfmrl"]

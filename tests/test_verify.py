@@ -18,11 +18,10 @@ from sfmrl.lessons import Finding
 from sfmrl.lessons.rerun import Disagreement, Rerun
 from sfmrl.lessons.verify import verify
 from sfmrl.network import ValueNetwork
+from sfmrl.runs.create import create_run, start_run
 from sfmrl.runs.files import csv_text, remove_checked, unlist
-from sfmrl.runs.progress import no_progress
-from sfmrl.runs.run import create_run
-from sfmrl.runs.stopping import StopSignal
-from sfmrl.runs.training import run_imitation, run_reinforcement, start_run
+from sfmrl.runs.progress import StopSignal, no_progress
+from sfmrl.runs.training import run_imitation, run_reinforcement
 from sfmrl.runs.weights import load_weights, save_weights
 from sfmrl.variants import make_config
 

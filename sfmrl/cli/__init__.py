@@ -18,7 +18,7 @@ from sfmrl.cli.console import say, say_result
 from sfmrl.config import ConfigError
 from sfmrl.runs.files import DamagedFile
 from sfmrl.runs.folders import as_words, finished, run_folders, unfinished
-from sfmrl.runs.stopping import Interrupted
+from sfmrl.runs.progress import Interrupted
 
 INTERRUPTED = 130
 

@@ -36,7 +36,7 @@ def rewards() -> list[str]:
 def policies() -> list[str]:
     """Return the policies with a name, networks that come with sfmrl, and the finished runs."""
     from sfmrl.policies import POLICIES
-    from sfmrl.runs.models import model_names
+    from sfmrl.runs.weights import model_names
 
     return [*POLICIES, *model_names(), *(folder.as_posix() for folder in run_folders() if finished(folder))]
 

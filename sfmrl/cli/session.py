@@ -7,7 +7,7 @@ from typing import Any
 
 from sfmrl.cli.console import err, say
 from sfmrl.config import Config, ConfigError, counted, override
-from sfmrl.runs.folders import as_words
+from sfmrl.runs.folders import as_words, finished
 from sfmrl.variants import make_config
 
 
@@ -41,16 +41,17 @@ def existing(folder: Path | None, overwrite: bool, go_on: bool) -> dict[str, boo
     return {"overwrite": overwrite, "go_on": go_on}
 
 
-def finished(run: Any) -> bool:
-    """Return whether a training has ended already; if so, say it and remove checkpoints that a killed process left."""
+def already_finished(run: Any) -> bool:
+    """Whether a training has finished; if so, say it, and remove checkpoints that a killed process left."""
     from sfmrl.runs.run import sole_use
 
-    if run.finished:
-        if run.checkpoints():  # it was killed while it removed them
-            with sole_use(run):
-                pass
-        say(f"{run.folder} is finished already")
-    return run.finished
+    if not finished(run.folder):
+        return False
+    if run.checkpoints():  # it was killed while it removed them
+        with sole_use(run):
+            pass
+    say(f"{run.folder} is finished already")
+    return True
 
 
 def use_threads(threads: int | None) -> int:
@@ -70,16 +71,15 @@ def train(run: Any, work: Callable[..., Any]) -> Any:
     from sfmrl.own_code import reward_digest
     from sfmrl.rewards import reward_terms
     from sfmrl.runs.bits import machine_bits
-    from sfmrl.runs.progress import show_progress
+    from sfmrl.runs.progress import Interrupted, StopSignal, show_progress
     from sfmrl.runs.run import sole_use
-    from sfmrl.runs.stopping import Interrupted, StopSignal
 
     how = on_run(f"{run.kind} --resume", run)
     if run.facts.get("own_reward") != reward_digest(run.config.reward):
         raise ConfigError(f"{run.config.reward.reward} has changed since {run.folder} began; start a new run with it")
     reward_terms(run.config.reward)  # which says why if it cannot, or must not, be used
     with sole_use(run), StopSignal(say) as stop:
-        if run.finished:
+        if finished(run.folder):
             next_step = f"test it with {on_run('eval', run)}, or begin another run"
             raise ConfigError(f"{run.folder} is finished; there is nothing to go on with: {next_step}")
         say(f"run folder {run.folder}")
@@ -101,10 +101,10 @@ def choose(
     Without a name, it is the newest finished run. The reward that a network looks ahead with is run if it is sfmrl's,
     if --reward names it, or with --trust-reward.
     """
-    from sfmrl.policies import POLICIES, find_weights, load_policy
+    from sfmrl.policies import POLICIES, load_policy
     from sfmrl.recovery import with_recovery
-    from sfmrl.runs.models import model_names
     from sfmrl.runs.run import newest_run
+    from sfmrl.runs.weights import find_weights, model_names
 
     name = policy or str(newest_run())
     if not policy:
@@ -119,7 +119,7 @@ def choose(
 
 def say_habits(path: Path, config: Config) -> None:
     """Say on standard error what the files beside a CrowdNav checkpoint say that is otherwise under a config."""
-    from sfmrl.runs.weights import other_habits
+    from sfmrl.runs.crowdnav import other_habits
 
     for note in other_habits(path, config.simulation.robot_visible):
         say(note)

@@ -126,8 +126,7 @@ def figure(
 def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:
     """Run what is not finished yet; raises Interrupted, or exits with 1 where some failed."""
     from sfmrl.lookahead import available_cores
-    from sfmrl.runs.progress import show_progress
-    from sfmrl.runs.stopping import Interrupted, StopSignal
+    from sfmrl.runs.progress import Interrupted, StopSignal, show_progress
     from sfmrl.study.jobs import Failed, Processes, RayWorkers, run_jobs
 
     with StopSignal(say) as stop:

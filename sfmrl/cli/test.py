@@ -152,7 +152,7 @@ def models(
     as_json: Annotated[bool, option("print JSON", "--json")] = False,
 ) -> None:
     """List the trained networks that come with sfmrl, one for each row of the paper's tables."""
-    from sfmrl.runs.models import model_card, model_names
+    from sfmrl.runs.weights import model_card, model_names
     from sfmrl.study.sheets import card_lines, model_sheet
 
     names = model_names()

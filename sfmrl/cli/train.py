@@ -10,7 +10,17 @@ import typer
 from sfmrl.cli import completion, options
 from sfmrl.cli.console import as_options, print_metrics, say
 from sfmrl.cli.options import option, settings_options
-from sfmrl.cli.session import drawn, existing, finished, new_config, on_run, reopen, say_habits, train, use_threads
+from sfmrl.cli.session import (
+    already_finished,
+    drawn,
+    existing,
+    new_config,
+    on_run,
+    reopen,
+    say_habits,
+    train,
+    use_threads,
+)
 from sfmrl.config import Config, ConfigError
 
 app = typer.Typer()
@@ -30,7 +40,7 @@ def il(
     settings: dict[str, Any],
 ) -> None:
     """Imitation: learn from ORCA's demonstrations what situations are worth."""
-    from sfmrl.runs.run import create_run
+    from sfmrl.runs.create import create_run
     from sfmrl.runs.training import run_imitation
 
     if resume:
@@ -38,7 +48,7 @@ def il(
         current = reopen("il", resume, given, trust_reward)
     else:
         current = create_run("il", new_config(variant, settings), run, **existing(run, overwrite, go_on))
-    if go_on and finished(current):
+    if go_on and already_finished(current):
         return
     train(current, lambda progress, stop: run_imitation(current, progress, stop))
     plain, made = asdict(Config()), asdict(current.config)
@@ -73,7 +83,8 @@ def rl(
 ) -> None:
     """Reinforcement: deep V-learning on from what imitation gave, then a test."""
     from sfmrl.maps import why_unsolvable
-    from sfmrl.runs.training import run_reinforcement, start_run
+    from sfmrl.runs.create import start_run
+    from sfmrl.runs.training import run_reinforcement
     from sfmrl.scenes import label, sample_scenes
 
     workers = use_threads(threads)
@@ -91,7 +102,7 @@ def rl(
         if map_file and (reason := why_unsolvable(sample_scenes(environment, [0]), config.simulation.time_limit)):
             say(f"{map_file}: {reason}")
         current = start_run(config, source, from_scratch, run, **existing(run, overwrite, go_on))
-    if go_on and finished(current):
+    if go_on and already_finished(current):
         return
     if current.imitation:
         say(f"from imitation run {current.imitation}")

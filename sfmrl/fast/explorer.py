@@ -15,7 +15,7 @@ from sfmrl.config import Config
 from sfmrl.exploration import Explored, explore
 from sfmrl.fast import FastNetwork, Sizes, new_network
 from sfmrl.lookahead import SarlPolicy
-from sfmrl.runs.stopping import SIGNALS, held_back
+from sfmrl.runs.progress import SIGNALS, held_back
 
 
 class Explorer:

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from sfmrl.config import Reward, counted
+from sfmrl.config import Reward, counted, json_object
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.evaluation import episode_rows, evaluation_record
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.policies import orca_policy
 from sfmrl.recovery import with_recovery
 from sfmrl.runs.demonstrations import load_demonstrations
-from sfmrl.runs.files import json_object, read_listed, read_table
+from sfmrl.runs.files import read_listed, read_table
 from sfmrl.runs.folders import DEMONSTRATIONS, WEIGHTS
 from sfmrl.runs.progress import Progress
 from sfmrl.runs.run import Run

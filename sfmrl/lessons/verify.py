@@ -13,10 +13,11 @@ from sfmrl.evaluation import RATES
 from sfmrl.lessons import Finding
 from sfmrl.lessons.rerun import Disagreement, Rerun, outcomes, result_of
 from sfmrl.own_code import UntrustedReward, reward_digest, trusted
+from sfmrl.runs.bits import versions
 from sfmrl.runs.files import SUMS, DamagedFile, digest_of, read_regular, read_sums, read_table
-from sfmrl.runs.folders import BEST, DEMONSTRATIONS, MAP, WEIGHTS, unfinished
+from sfmrl.runs.folders import BEST, CHECKPOINT, DEMONSTRATIONS, MAP, WEIGHTS, finished, unfinished
 from sfmrl.runs.progress import Progress
-from sfmrl.runs.run import CHECKPOINT, Run, open_run, versions
+from sfmrl.runs.run import Run, open_run
 from sfmrl.runs.weights import load_weights
 from sfmrl.scenes import DRAWN
 
@@ -114,7 +115,7 @@ def _sums(folder: Path) -> str:
 
 
 def _finished(run: Run) -> str:
-    if not run.finished:
+    if not finished(run.folder):
         raise Disagreement(unfinished(run.folder))
     return f"sfmrl {run.kind}, variant {run.facts['variant']}, begun {run.facts['created'][:16]}, has ended"
 

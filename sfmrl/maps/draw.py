@@ -7,7 +7,6 @@ import numpy as np
 from sfmrl.config import ConfigError, Planner
 from sfmrl.maps.format import CELL, GOALS, MOST_PLACES, PEOPLE, Drawing, parse
 from sfmrl.planner import UNREACHABLE, plan
-from sfmrl.runs.files import read_regular
 from sfmrl.scenes import DRAWN, Scenes
 
 LARGEST = 100_000  # bytes of a map's file: far more than a map and its comments need
@@ -27,7 +26,8 @@ def load_map(path: str | Path) -> str:
     if path.exists() and not path.is_file():
         raise ConfigError(f"{path} is a folder, a pipe or a device; name a text file with a map")
     try:
-        text = read_regular(path, LARGEST + 1)
+        with open(path, "rb") as file:
+            text = file.read(LARGEST + 1)
     except FileNotFoundError:
         raise ConfigError(f"there is no map {path}; sfmrl ascii-render --draw prints one to begin with") from None
     if len(text) > LARGEST:

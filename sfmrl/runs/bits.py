@@ -1,21 +1,36 @@
-"""Which bits this machine computes: a digest of small computations, to compare with one from another machine.
+"""What the numbers of a run depend on beyond its config: versions, and the bits that this machine computes.
 
-Processors and libraries add up sums in different orders, so the same training has other last digits elsewhere. Neither
-the processor's name nor equal versions tell whether it has. Compare these digests before you compare numbers to the
-digit. No code of the simulator or the network takes part, so a change to them changes no digest.
+Processors and libraries add numbers in different orders, so the same training ends in other last digits on another
+machine. Neither the processor's name nor equal versions tell whether it does; `machine_bits`, a digest of small
+computations, does. Compare it before you compare numbers to the last digit. It uses no code of the simulator or the
+network, so a change to these does not change it.
 """
 
 import hashlib
+import platform
 from collections.abc import Iterator
 from functools import cache
 from itertools import pairwise
 
 import numpy as np
 
-import sfmrl.fast  # noqa: F401  # sets OpenBLAS to one thread
+from sfmrl import __version__
+from sfmrl.fast import kernels  # importing sfmrl.fast also sets OpenBLAS to one thread
 
 ROWS, WIDTHS = 2000, (13, 150, 100, 1)  # 200 states of ten elements each, through layers as wide as SARL's
-STEPS, RATE = 8, 0.05  # of the descent
+STEPS, RATE = 8, 0.05  # of gradient descent
+
+
+def versions() -> dict[str, str]:
+    """Versions of sfmrl and of everything below it that decides numbers, as run.json stores them."""
+    return {
+        "sfmrl": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "system": platform.platform(),
+        "processor": kernels(),
+        "bits": machine_bits(),
+    }
 
 
 @cache
@@ -25,7 +40,10 @@ def machine_bits() -> str:
 
 
 def _functions() -> Iterator[np.ndarray]:
-    """Values of the functions that simulator, states and network use; 1,001 numbers leave a remainder."""
+    """Values of the functions that simulator, states and network use.
+
+    1,001 numbers are not a multiple of any vector register's length, so the code for the remainder runs, too.
+    """
     for kind in (np.float32, np.float64):
         x, y = np.random.default_rng(0).uniform(0.01, 8.0, (2, 1001)).astype(kind)
         yield from (np.exp(-x), np.sqrt(x), np.sin(x), np.cos(x), np.arctan2(x, y), np.hypot(x, y), kind(0.9) ** x)
@@ -33,7 +51,7 @@ def _functions() -> Iterator[np.ndarray]:
 
 
 def _descent() -> list[np.ndarray]:
-    """Losses and weights along a short gradient descent."""
+    """Losses and weights of a short gradient descent on random data."""
     rng = np.random.default_rng(0)
     states, values = (rng.standard_normal((ROWS, width), np.float32) for width in (WIDTHS[0], 1))
     weights = [rng.standard_normal(shape, np.float32) / 8 for shape in pairwise(WIDTHS)]

@@ -1,4 +1,7 @@
-"""The file in which an imitation run keeps ORCA's demonstrations, as trajectories: it serves every reward and state."""
+"""The file of ORCA's demonstrations in an imitation run.
+
+It holds trajectories without rewards or states, so that trainings with any reward and state can learn from it.
+"""
 
 import io
 from dataclasses import fields
@@ -13,14 +16,14 @@ from sfmrl.rewards import Transition
 from sfmrl.runs.files import DamagedFile, read_checked, write_atomically
 from sfmrl.scenes import Scenes
 
-DERIVED = ("time_step", "goal_distance_before")  # fields of a transition that the file does not hold
+DERIVED = ("time_step", "goal_distance_before")  # fields of Transition that follow from the trajectories
 STORED = [item.name for item in fields(Transition) if item.name not in DERIVED]
 
 
 def save_demonstrations(record: Record, path: Path) -> str:
-    """Write a record's trajectories to a file, without the NaN behind each episode's end; returns its SHA-256.
+    """Write a record's trajectories to a file; returns its SHA-256.
 
-    What follows from them and from the simulation (`DERIVED`) is left out.
+    Arrays with axes (E, T, ...) are stored as (S, ...), with the rows of all episodes' steps one after the other.
     """
     moments = np.arange(record.position.shape[1]) <= record.steps[:, None]
     arrays = {f"scenes.{f.name}": getattr(record.scenes, f.name) for f in fields(Scenes)}
@@ -32,7 +35,7 @@ def save_demonstrations(record: Record, path: Path) -> str:
 
 
 def load_demonstrations(path: Path, simulation: Simulation) -> Record:
-    """The record that `save_demonstrations` wrote, without rewards; raises DamagedFile, also where it is not finite."""
+    """Load the record that `save_demonstrations` wrote, without rewards; raises DamagedFile, also for NaN."""
     data = read_checked(path)
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
@@ -42,22 +45,22 @@ def load_demonstrations(path: Path, simulation: Simulation) -> Record:
             moments = np.arange(steps.max() + 1) <= steps[:, None]
             stored = {name: _spread(arrays[f"transition.{name}"], played) for name in STORED}
             position, velocity = _spread(arrays["position"], moments), _spread(arrays["velocity"], moments)
-            there = np.isfinite(scenes.start)[:, None] & moments[..., None, None]
+            there = np.isfinite(scenes.start)[:, None] & moments[..., None, None]  # (E, T+1, N, 2)
             parts = {name: values[played] for name, values in stored.items()}
-            parts["separations"] = np.minimum(parts["separations"], 0.0)  # infinite to absent elements
+            parts["separations"] = np.minimum(parts["separations"], 0.0)  # may be +inf, to absent elements
             if not all(np.isfinite(part).all() for part in (position[there], velocity[there], *parts.values())):
                 raise ValueError("they are not finite")
-    except Exception as error:  # NumPy's reader raises whatever the bytes lead it to
+    except Exception as error:  # damaged bytes can raise anything in NumPy
         raise DamagedFile(f"{path} does not hold demonstrations ({error}); make them again with sfmrl il") from None
     before = np.where(played, length(position[:, :-1, 0] - scenes.goal[:, None, 0]), np.nan)
     time_step = np.where(played, simulation.time_step, np.nan)
     transition = Transition(**stored, time_step=time_step, goal_distance_before=before)
-    nothing = np.full(played.shape, np.nan)
-    return Record(scenes, simulation, steps, position, velocity, transition, nothing, nothing[:, 0])
+    unknown = np.full(played.shape, np.nan)  # rewards and returns
+    return Record(scenes, simulation, steps, position, velocity, transition, unknown, unknown[:, 0])
 
 
 def _spread(flat: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """Rows (S, ...) laid out over the true entries of `where` (E, T): (E, T, ...), NaN (0 for integers) elsewhere."""
+    """Put rows (S, ...) at the S true entries of `where` (E, T): (E, T, ...), with NaN (0 for integers) elsewhere."""
     full = np.full(where.shape + flat.shape[1:], np.nan if flat.dtype.kind == "f" else 0, dtype=flat.dtype)
     full[where] = flat
     return full

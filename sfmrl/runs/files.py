@@ -1,12 +1,11 @@
-"""Files that are whole or not there: atomic writes, and a SHA-256 of each in its folder's SHA256SUMS.
+"""Write files atomically, keep their SHA-256 digests in the folder's SHA256SUMS, and check them when they are read.
 
-SHA256SUMS has the format of the command `sha256sum`, which can check a folder too.
+SHA256SUMS has the format of the command `sha256sum`, which can check a folder, too.
 """
 
 import csv
 import hashlib
 import io
-import json
 import os
 import re
 from collections.abc import Iterable, Iterator
@@ -15,17 +14,17 @@ from pathlib import Path
 from typing import Any
 
 SUMS = "SHA256SUMS"
-TEMPORARY = re.compile(r"\.(.+)\.\d+\.tmp")  # .NAME.PROCESS.tmp, what is to become the file NAME
+TEMPORARY = re.compile(r"\.(.+)\.\d+\.tmp")  # .NAME.PROCESS.tmp, which is renamed to NAME once it is written
 
 
 class DamagedFile(Exception):
-    """A file that is not what was written; its text names the file and the remedy."""
+    """A file is not what was written; the text names the file and the remedy."""
 
 
 def write_atomically(path: Path, data: bytes, *, checked: bool = True) -> str:
-    """Write a file so that its name only ever stands for a whole one; returns its SHA-256.
+    """Write a file that never exists under its name in part; returns its SHA-256.
 
-    With `checked` its digest enters the folder's SHA256SUMS. Raises OSError, naming `path`, and leaves the old file.
+    With `checked`, its digest enters the folder's SHA256SUMS. Raises OSError, naming `path`; the old file then stays.
     """
     path = Path(path)
     write_together(path.parent, {path.name: data}, checked=checked)
@@ -33,10 +32,10 @@ def write_atomically(path: Path, data: bytes, *, checked: bool = True) -> str:
 
 
 def write_together(folder: Path, files: dict[str, bytes], beside: Iterable[str] = (), *, checked: bool = True) -> None:
-    """Write files of one folder by name, in their order: temporary file, fsync, rename.
+    """Write files, by name, to one folder: first temporary files and fsync, then renames in the order of `files`.
 
-    With `checked` their digests, and those of the files `beside` that are there already, enter SHA256SUMS in one step
-    before the first rename: a crash in between leaves a digest without its file, never a file without its digest.
+    With `checked`, their digests, and those of the existing files `beside`, enter SHA256SUMS in one step before the
+    first rename: a crash in between leaves a digest without its file, never a file without its digest.
     """
     temporary = {name: folder / f".{name}.{os.getpid()}.tmp" for name in files}
     try:
@@ -53,25 +52,25 @@ def write_together(folder: Path, files: dict[str, bytes], beside: Iterable[str] 
                 os.replace(temporary[name], folder / name)
     except BaseException:
         for path in temporary.values():
-            with suppress(OSError):  # of a file system that cannot be written to, whose error is on its way
+            with suppress(OSError):  # on a read-only file system, where the first error says more
                 path.unlink()
         raise
     _sync_folder(folder)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a user's text file, whole or as it was; raises OSError, naming it."""
+    """Write a text file atomically, without a digest; raises OSError, naming it."""
     write_atomically(path, text.encode(), checked=False)
 
 
 def append(path: Path, data: bytes) -> None:
-    """Add bytes at the end of a file; raises OSError, naming it, and DamagedFile where it is no regular file."""
+    """Add bytes to the end of a file; raises OSError, naming it, and DamagedFile if it is not a regular file."""
     with _naming(path), open(regular(path), "ab") as file:
         file.write(data)
 
 
 def remove_checked(paths: list[Path]) -> None:
-    """Remove files of one folder, and their digests before them: a crash in between leaves unlisted files."""
+    """Remove files of one folder, after their digests: a crash in between leaves files without digests."""
     if paths:
         unlist({path.name for path in paths}, paths[0].parent)
     for path in paths:
@@ -79,14 +78,14 @@ def remove_checked(paths: list[Path]) -> None:
 
 
 def unlist(names: set[str], folder: Path) -> None:
-    """Remove files' digests from a folder's SHA256SUMS."""
+    """Remove the digests of these files from a folder's SHA256SUMS."""
     sums = read_sums(folder)
     if names & set(sums):
         _write_sums(folder, {name: digest for name, digest in sums.items() if name not in names})
 
 
 def read_checked(path: Path) -> bytes:
-    """A file's bytes, held to its folder's SHA256SUMS; raises DamagedFile where they differ or no digest is known."""
+    """Read a file whose digest must be in the folder's SHA256SUMS; raises DamagedFile if it is not, or differs."""
     path = Path(path)
     if path.name not in read_sums(path.parent):
         raise DamagedFile(
@@ -96,9 +95,9 @@ def read_checked(path: Path) -> bytes:
 
 
 def read_listed(path: Path) -> bytes:
-    """A file's bytes, held to its folder's SHA256SUMS if it is listed there; raises DamagedFile where they differ.
+    """Read a file; raises DamagedFile if SHA256SUMS lists it with another digest.
 
-    Runs of earlier versions do not list their tables.
+    It need not be listed: runs of earlier versions do not list their tables.
     """
     path = Path(path)
     expected = read_sums(path.parent).get(path.name)
@@ -109,7 +108,7 @@ def read_listed(path: Path) -> bytes:
 
 
 def read_sums(folder: Path) -> dict[str, str]:
-    """Digests by file name from a folder's SHA256SUMS; empty where there is none. Raises DamagedFile."""
+    """Read the digests in a folder's SHA256SUMS by file name; empty if there is no such file. Raises DamagedFile."""
     path = Path(folder) / SUMS
     try:
         lines = read_regular(path).decode().split("\n")
@@ -132,7 +131,7 @@ def _digest(data: bytes) -> str:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Let every OSError name this file, instead of a temporary one or (where the disk is full) no file."""
+    """Make every OSError name `path`: it would name a temporary file or, when the disk is full, none."""
     try:
         yield
     except OSError as error:
@@ -140,7 +139,7 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make a rename last through a power cut, where the system can."""
+    """Make renames survive a power cut, where the system can."""
     if os.name == "posix":
         descriptor = os.open(folder, os.O_RDONLY)
         try:
@@ -149,38 +148,26 @@ def _sync_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
-def read_regular(path: Path, most: int = -1) -> bytes:
-    """A file's bytes, or its first `most`; raises DamagedFile where it is a folder, a pipe or a device."""
-    with open(regular(path), "rb") as file:
-        return file.read(most)
+def read_regular(path: Path) -> bytes:
+    """Read a file; raises DamagedFile if it is a folder, a pipe or a device."""
+    return regular(path).read_bytes()
 
 
 def regular(path: Path) -> Path:
-    """The path; raises DamagedFile where it is a folder, a pipe or a device."""
+    """The path; raises DamagedFile if it is a folder, a pipe or a device."""
     path = Path(path)
-    if path.exists() and not path.is_file():  # a pipe would be waited for, and a device may have no end
+    if path.exists() and not path.is_file():  # opening a pipe would block, and a device may never end
         raise DamagedFile(f"{path} is not a regular file, but a folder, a pipe or a device; name a file")
     return path
 
 
 def digest_of(path: Path) -> str:
-    """A file's SHA-256."""
+    """The SHA-256 of a file."""
     return _digest(read_regular(path))
 
 
-def json_object(text: str | bytes) -> dict[str, Any]:
-    """The object that a JSON text holds; raises ValueError where it holds none."""
-    try:
-        found = json.loads(text)
-    except (TypeError, ValueError, RecursionError):
-        raise ValueError("it is not JSON") from None
-    if not isinstance(found, dict):
-        raise ValueError("it is not a JSON object")
-    return found
-
-
 def read_table(path: Path) -> list[dict[str, str]]:
-    """The rows of a CSV file, as `read_listed`, by their headings; raises ValueError where a row does not fit them."""
+    """Read the rows of a CSV file by heading, as `read_listed` does; raises ValueError if a row does not fit them."""
     try:
         rows = list(csv.DictReader(io.StringIO(read_listed(path).decode(), newline="")))
     except csv.Error as error:
@@ -191,7 +178,7 @@ def read_table(path: Path) -> list[dict[str, str]]:
 
 
 def csv_text(rows: list[dict[str, Any]], header: bool = True) -> str:
-    """Rows as CSV, with their keys as the first line."""
+    """Write rows as CSV text; the header is the keys of the first row."""
     text = io.StringIO()
     if rows:
         writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")

@@ -1,5 +1,6 @@
-"""Run folders by what lies in them: which runs there are, and which is being trained. Without NumPy or torch."""
+"""Which runs there are, what is in their folders, and which are being trained. Imports neither NumPy nor torch."""
 
+import re
 import shlex
 import time
 from collections.abc import Iterator
@@ -7,42 +8,45 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from sfmrl.config import ConfigError
-from sfmrl.runs.files import DamagedFile, json_object, read_regular, regular
+from sfmrl.config import ConfigError, json_object
+from sfmrl.runs.files import SUMS, TEMPORARY, DamagedFile, read_regular, regular
 
 try:
     import fcntl
-except ImportError:  # not on Windows, where a second process is not kept out
+except ImportError:  # on Windows, where nothing keeps a second process from training the same run
     fcntl = None
 
 RUNS = Path("runs")
 KINDS = ("il", "rl")
-WEIGHTS = "weights.npz"  # a run's trained network, in its folder once it has ended
+WEIGHTS = "weights.npz"  # the trained network; the training has finished when this file exists
 BEST = "best.npz"  # the network of the best validation
 DEMONSTRATIONS = "demonstrations.npz"
-MAP = "map.txt"  # the drawing, of a run that trains on one
+MAP = "map.txt"  # the map, if the run trains on one
 TABLES = ("metrics.csv", "validation.csv", "test.csv", "test-best.csv", "result.json")
-OLD = ("weights.pt", "best.pt")  # the same two in runs of versions before 0.3
+OLD = ("weights.pt", "best.pt")  # WEIGHTS and BEST in runs of versions before 0.3
 LOCK = ".lock"  # locked by the process that trains the run
+CHECKPOINT = re.compile(r"checkpoint-\d{6}\.npz")
+FIRST = ("config.json", MAP, "run.json")  # files of a new run, in this order: run.json makes a folder a run
+WRITTEN = {*FIRST, *TABLES, WEIGHTS, BEST, *OLD, DEMONSTRATIONS, SUMS}  # with checkpoints, all that a run ever writes
 
 
 def run_folders(kind: str | None = None) -> list[Path]:
-    """Folders under runs/ that hold a run (of a kind), the newest first."""
-    found = []
+    """The folders under runs/ that hold a run (of this kind), newest first."""
+    runs = []
     for path in RUNS.glob("[!.]*/run.json"):
         if kind_of(path.parent) in (KINDS if kind is None else (kind,)):
-            found.append((str(facts_of(path.parent).get("created")), path.parent))
-    return [folder for _, folder in sorted(found, reverse=True)]
+            runs.append((str(facts_of(path.parent).get("created")), path.parent))
+    return [folder for _, folder in sorted(runs, reverse=True)]
 
 
 def kind_of(folder: Path) -> str | None:
-    """Which kind of run a folder holds; None without a run.json that says so."""
+    """The kind of run that a folder holds, from its run.json; None if it holds none."""
     kind = facts_of(folder).get("kind")
     return kind if kind in KINDS else None
 
 
 def facts_of(folder: Path) -> dict[str, Any]:
-    """What the run.json in a folder says; nothing where there is none that can be read."""
+    """The contents of a folder's run.json; empty if there is none that can be read."""
     try:
         return json_object(read_regular(folder / "run.json"))
     except (OSError, ValueError, DamagedFile):
@@ -50,7 +54,7 @@ def facts_of(folder: Path) -> dict[str, Any]:
 
 
 def finished(folder: Path) -> bool:
-    """Whether the training in a folder has come to its end."""
+    """Whether the training in a folder has finished."""
     return (folder / WEIGHTS).exists()
 
 
@@ -67,27 +71,27 @@ def in_training(folder: Path) -> bool:
 
 
 def unfinished(folder: Path) -> str:
-    """What to say of a run that has not ended: what to type, or that it is being trained now."""
+    """What to tell the user of an unfinished run: how to continue it, or that it is being trained now."""
     if in_training(folder):
         return f"{folder} is being trained now; wait until it has ended"
     return f"{folder} has not ended; go on with it: sfmrl {kind_of(folder) or 'rl'} --resume {as_words(folder)}"
 
 
 def as_words(folder: Path) -> str:
-    """What to type to name a run folder, quoted for the shell, with --trust-reward where its reward is the user's."""
+    """A run folder as typed in a shell, with --trust-reward if its reward is the user's own function."""
     try:
         reward = json_object(read_regular(folder / "config.json"))["reward"]["reward"]
     except (OSError, ValueError, LookupError, TypeError, DamagedFile):
-        reward = ""  # whoever opens the run says what is wrong
-    name = f"./{folder}" if str(folder).startswith("-") else str(folder)  # which would be an option
+        reward = ""  # opening the run reports the error
+    name = f"./{folder}" if str(folder).startswith("-") else str(folder)  # a leading "-" would make it an option
     return shlex.join([name, *["--trust-reward"] * (":" in str(reward))])
 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keep other processes from training in a folder, where the system can; raises ConfigError where one does."""
+    """Keep other processes from training in a folder, where the system can; raises ConfigError if one does."""
     with open(regular(folder / LOCK), "a") as lock:
-        for attempt in range(5):  # `in_training` holds the lock, too, for a moment
+        for attempt in range(5):  # `in_training`, in another process, holds the lock for a moment
             try:
                 if fcntl:
                     fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -99,3 +103,14 @@ def locked(folder: Path) -> Iterator[None]:
                     ) from None
                 time.sleep(0.05)
         yield
+
+
+def leftovers(folder: Path) -> list[Path]:
+    """Temporary files of a run's files, which killed processes have left in its folder."""
+    names = [(path, TEMPORARY.fullmatch(path.name)) for path in folder.iterdir()]
+    return [path for path, name in names if name and written_by_runs(name[1])]
+
+
+def written_by_runs(name: str) -> bool:
+    """Whether a run writes files of this name."""
+    return name in WRITTEN or bool(CHECKPOINT.fullmatch(name))

@@ -1,28 +1,37 @@
-"""How far along: a bar with rate and time left in a terminal, plain lines elsewhere, always on standard error."""
+"""Report the progress of long work on standard error, and stop it at the next checkpoint on Ctrl-C.
 
+In a terminal, progress is a bar with the rate and the time left; elsewhere it is plain lines.
+"""
+
+import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
-# From a title and a total to a context, whose value is called with a count to say "so many more".
+# Takes a title and a total; gives a context, whose value is a function to call with the number of steps just done.
 Progress = Callable[[str, int], AbstractContextManager[Callable[[int], None]]]
 
-QUIET = 2.0  # seconds of work about which nothing is said where there is no terminal
-LINE_EVERY = 10.0  # seconds between plain lines
+FIRST_LINE_AFTER = 2.0  # seconds
+LINE_EVERY = 10.0  # seconds
+SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+class Interrupted(Exception):
+    """A training has stopped on request, and can go on from its last checkpoint; the text says how."""
 
 
 @contextmanager
 def no_progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Say nothing."""
+    """Show nothing."""
     yield lambda count: None
 
 
 def show_progress(console: Console) -> Progress:
-    """Show progress on `console` (standard error): a bar if it is a terminal, else a line every ten seconds."""
+    """Show progress on `console` (standard error): a bar if it is a terminal, otherwise a line every ten seconds."""
     return _bar(console) if console.is_terminal and not console.is_dumb_terminal else _lines(console)
 
 
@@ -40,12 +49,11 @@ def _bar(console: Console) -> Progress:
             task = bar.add_task(title, total=total, rate="")
             start = time.monotonic()
 
-            def told(count: int) -> None:
+            def advance(count: int) -> None:
                 bar.advance(task, count)
-                done = bar.tasks[0].completed
-                bar.update(task, rate=rate_text(done, time.monotonic() - start))
+                bar.update(task, rate=_rate(bar.tasks[0].completed, time.monotonic() - start))
 
-            yield told
+            yield advance
 
     return progress
 
@@ -53,25 +61,77 @@ def _bar(console: Console) -> Progress:
 def _lines(console: Console) -> Progress:
     @contextmanager
     def progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
-        start = said = time.monotonic()
+        start = printed = time.monotonic()
         done = 0
 
-        def told(count: int) -> None:
-            nonlocal done, said
+        def advance(count: int) -> None:
+            nonlocal done, printed
             done += count
             now = time.monotonic()
-            if now - said >= (LINE_EVERY if said > start else QUIET):
-                said = now
+            if now - printed >= (LINE_EVERY if printed > start else FIRST_LINE_AFTER):
+                printed = now
                 left = (total - done) * (now - start) / max(done, 1)
-                text = f"{title}: {done} of {total}, {rate_text(done, now - start)}, {left:.0f} s left"
-                console.print(text, highlight=False, soft_wrap=True)
+                line = f"{title}: {done} of {total}, {_rate(done, now - start)}, {left:.0f} s left"
+                console.print(line, highlight=False, soft_wrap=True)
 
-        yield told
+        yield advance
 
     return progress
 
 
-def rate_text(done: float, seconds: float) -> str:
-    """So many a second, for people."""
+def _rate(done: float, seconds: float) -> str:
     rate = done / max(seconds, 1e-9)
     return f"{rate:.0f}/s" if rate >= 10 else f"{rate:.1f}/s"
+
+
+class StopSignal:
+    """Turn the first Ctrl-C, SIGTERM or SIGHUP into a request, which a training checks; a second acts at once."""
+
+    def __init__(self, say: Callable[[str], None] = lambda text: None) -> None:
+        self.requested = False
+        self._say = say
+
+    def __enter__(self) -> "StopSignal":
+        caught = [number for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN]  # nohup ignores SIGHUP
+        self._before = {number: signal.signal(number, self._request) for number in caught}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _request(self, number: int, frame: object) -> None:
+        if self.requested:
+            raise KeyboardInterrupt
+        self.requested = True
+        with suppress(OSError):  # the terminal may be closed
+            self._say("stopping at the next checkpoint; interrupt again to stop at once")
+
+    def watch(self, progress: Progress) -> Progress:
+        """`progress` that raises Interrupted once a stop is requested, for work whose parts need not be saved."""
+
+        @contextmanager
+        def watched(title: str, total: int) -> Iterator[Callable[[int], None]]:
+            with progress(title, total) as advance:
+
+                def advance_or_stop(count: int) -> None:
+                    advance(count)
+                    if self.requested:
+                        raise Interrupted
+
+                yield advance_or_stop
+
+        return watched
+
+
+@contextmanager
+def held_back() -> Iterator[None]:
+    """Block SIGNALS until the end of the block; processes that are started in it inherit this."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

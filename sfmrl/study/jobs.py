@@ -23,8 +23,7 @@ from pathlib import Path
 from sfmrl.config import ConfigError, counted
 from sfmrl.runs.files import read_regular, regular
 from sfmrl.runs.folders import finished
-from sfmrl.runs.progress import Progress
-from sfmrl.runs.stopping import Interrupted, StopSignal
+from sfmrl.runs.progress import Interrupted, Progress, StopSignal
 
 POLL_INTERVAL = 0.5  # s
 
@@ -48,11 +47,6 @@ class Job:
         """What to type."""
         return shlex.join(["sfmrl", *self.words])
 
-    @property
-    def finished(self) -> bool:
-        """Whether nothing is left to do."""
-        return finished(self.folder)
-
 
 def run_jobs(
     jobs: list[Job], workers: "Processes | RayWorkers", progress: Progress, stop: StopSignal, say: Callable
@@ -62,7 +56,7 @@ def run_jobs(
     Raises Interrupted once `stop` has been requested and the jobs have stopped. Raises Failed, naming them, when some
     jobs failed; all jobs that do not need these are run nevertheless.
     """
-    unfinished = [job for job in jobs if not job.finished]
+    unfinished = [job for job in jobs if not finished(job.folder)]
     waiting, running, failed = list(unfinished), 0, []
     shown = sum(map(_episodes_played, unfinished))
     with progress("trainings", sum(job.episodes for job in unfinished) - shown) as tell:
@@ -70,7 +64,7 @@ def run_jobs(
             while waiting or running:
                 for job, message in workers.ended():
                     running -= 1
-                    if not job.finished and not stop.requested:
+                    if not finished(job.folder) and not stop.requested:
                         say(f"{job.name} failed: {message}")
                         failed.append(job)
                 if stop.requested:

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sfmrl.config import ConfigError, suggest
-from sfmrl.runs.files import json_object, read_listed, read_table
+from sfmrl.config import ConfigError, json_object, suggest
+from sfmrl.runs.files import read_listed, read_table
 from sfmrl.runs.folders import finished
 from sfmrl.study.jobs import Job
 

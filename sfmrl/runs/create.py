@@ -1,0 +1,222 @@
+"""Make the folder of a new run, without ever replacing anything but a run, and that only if asked to."""
+
+import json
+import os
+import shlex
+import sys
+from dataclasses import replace
+from datetime import UTC, datetime
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from sfmrl.config import Config, ConfigError
+from sfmrl.own_code import reward_digest
+from sfmrl.rewards import reward_terms
+from sfmrl.runs.bits import versions
+from sfmrl.runs.files import SUMS, DamagedFile, digest_of, read_sums, write_together
+from sfmrl.runs.folders import (
+    DEMONSTRATIONS,
+    FIRST,
+    LOCK,
+    MAP,
+    RUNS,
+    as_words,
+    finished,
+    in_training,
+    kind_of,
+    leftovers,
+    locked,
+    run_folders,
+    unfinished,
+    written_by_runs,
+)
+from sfmrl.runs.run import Run, open_run
+from sfmrl.runs.weights import load_weights
+from sfmrl.scenes import DRAWN, parse_mix
+from sfmrl.states import column_names
+from sfmrl.variants import variant_name
+
+
+def create_run(
+    kind: str,
+    config: Config,
+    folder: Path | None,
+    imitation: Path | None = None,
+    *,
+    overwrite: bool = False,
+    go_on: bool = False,
+    **facts: Any,
+) -> Run:
+    """Make a run folder: `folder`, or a new one under runs/ named after kind, variant and seed.
+
+    If there is a run in `folder` already, `overwrite` replaces it, and `go_on` opens it if it has the same config.
+    Only a run or an empty folder is ever replaced, and only files that a run writes are removed; what is left of a run
+    whose creation was killed counts as nothing. `imitation` is the run that this one starts from; its path is stored
+    relative to the new folder, so that both can be moved together. `facts` go into run.json.
+
+    Raises ConfigError if the folder cannot be used, or if the config names an unknown environment or reward.
+    """
+    check_names(config)
+    if go_on and folder is not None and kind_of(folder):
+        return _open_same(folder, kind, config)
+    facts = _first_facts(kind, config) | facts
+    name, numbers = f"{kind}-{variant_name(config)}-seed{config.seed}", count(2)
+    place = folder or RUNS / name
+    while True:
+        facts["imitation"] = None if imitation is None else os.path.relpath(imitation, place)
+        try:
+            _make(place, _first_files(config) | {"run.json": json.dumps(facts, indent=2)}, overwrite)
+            break
+        except ConfigError:
+            if folder:
+                raise
+            place = RUNS / f"{name}-{next(numbers)}"  # another run has this name
+    return replace(open_run(place), config=config)  # the user named this config's reward: it is trusted
+
+
+def check_names(config: Config) -> None:
+    """Raise ConfigError if the config names an environment or a reward that does not exist."""
+    schedule = config.reinforcement
+    for environment in (config.imitation.environment, schedule.environment, schedule.test_environment):
+        parse_mix(environment)
+    reward_terms(config.reward)
+
+
+def _first_facts(kind: str, config: Config) -> dict[str, Any]:
+    return {
+        "kind": kind,
+        "variant": variant_name(config),
+        "created": datetime.now(UTC).isoformat(),
+        "command": shlex.join(["sfmrl", *sys.argv[1:]]),
+        "versions": versions(),
+        "own_reward": reward_digest(config.reward),
+    }
+
+
+def _first_files(config: Config) -> dict[str, str]:
+    files = {"config.json": config.to_json()}
+    if config.reinforcement.environment.startswith(DRAWN):
+        files[MAP] = config.reinforcement.environment.removeprefix(DRAWN).replace("/", "\n") + "\n"
+    return files
+
+
+def _make(folder: Path, files: dict[str, str], overwrite: bool) -> None:
+    """Write the first files of a new run to a folder; raises ConfigError if it holds anything else."""
+    _check_replaceable(folder, overwrite)
+    folder.mkdir(parents=True, exist_ok=True)
+    with locked(folder):
+        _check_replaceable(folder, overwrite)  # another process may have made a run in the meantime
+        if _listed(folder, MAP):
+            (folder / MAP).unlink(missing_ok=True)
+        elif MAP in files and (folder / MAP).exists():
+            raise ConfigError(f"{folder / MAP} does not belong to the run; move it away, or name another --run")
+        # First SHA256SUMS: if this is interrupted, the old run can no longer be opened, but it can still be replaced.
+        (folder / SUMS).unlink(missing_ok=True)
+        old = [path for path in folder.iterdir() if path.name not in FIRST and written_by_runs(path.name)]
+        for path in old + leftovers(folder):
+            path.unlink()
+        write_together(folder, {name: text.encode() for name, text in files.items()})
+
+
+def _check_replaceable(folder: Path, overwrite: bool) -> None:
+    """Raise ConfigError if the folder holds anything but a run, or a run that must not be replaced."""
+    if not folder.exists() or (folder.is_dir() and not _holds_something(folder)):
+        return
+    if kind_of(folder) is None:
+        spared = ", so --overwrite leaves it alone" if overwrite else ""
+        raise ConfigError(f"{folder} is there already, and is not a run folder{spared}; name another --run")
+    if overwrite:
+        return
+    if in_training(folder):
+        raise ConfigError(f"{folder} is being trained by another process; name another --run")
+    ways = ["name another --run", "replace it with --overwrite", f"go on with it by --resume {as_words(folder)}"]
+    raise ConfigError(f"{folder} is there already; {', or '.join(ways[: 2 + (not finished(folder))])}")
+
+
+def _holds_something(folder: Path) -> bool:
+    """Whether a folder holds more than what is left of a run whose creation was killed, which has no run.json."""
+    names = {path.name for path in folder.iterdir()} - {path.name for path in leftovers(folder)} - {LOCK}
+    listed = set(read_sums(folder)) if names else set()
+    return bool(names) and not (listed and names <= (listed | {SUMS}) - {"run.json"} and listed <= set(FIRST))
+
+
+def _listed(folder: Path, name: str) -> bool:
+    """Whether a folder's SHA256SUMS lists a file; False if SHA256SUMS is damaged."""
+    try:
+        return name in read_sums(folder)
+    except DamagedFile:
+        return False
+
+
+def _open_same(folder: Path, kind: str, config: Config) -> Run:
+    """Open the run in a folder; raises ConfigError, naming a setting, if it was begun with another config."""
+    run = open_run(folder, kind)
+    for pair in zip(run.config.to_json().split("\n"), config.to_json().split("\n"), strict=True):
+        begun, asked = (line.strip(" ,") for line in pair)
+        if begun != asked:
+            raise ConfigError(f"{folder} was begun with {begun}, not {asked}; name another --run")
+    return replace(run, config=config)
+
+
+def start_run(config: Config, source: Path | None, from_scratch: bool, folder: Path | None, **existing: bool) -> Run:
+    """Make the folder of a new reinforcement run that starts from `source`.
+
+    That is an imitation run, by default the newest that fits: one with the same preset, seed and simulation; its reward
+    and state may differ. If `source` is a weights file, the training starts from its network, without demonstrations
+    and with its `value_prior`. With `from_scratch` it starts from nothing. `existing` is passed to `create_run`.
+
+    Raises ConfigError, with what to type, if there is no such imitation run or `source` does not fit.
+    """
+    check_names(config)  # now, since the missing imitation run of the next error takes minutes to make
+    if from_scratch:
+        return create_run("rl", config, folder, **existing)
+    if source is not None and source.is_file():
+        config, weights = _start_from_weights(config, source)
+        return create_run("rl", config, folder, **existing, weights=weights)
+    source = source or _newest_fitting(config)
+    imitation = open_run(source, "il")
+    if not finished(source):
+        raise ConfigError(unfinished(source))
+    if imitation.config.simulation != config.simulation:
+        raise ConfigError(f"the demonstrations of {source} come from another simulation; name another --from")
+    if folder is not None and folder.resolve() == source.resolve():
+        raise ConfigError(f"{folder} is the imitation run to start from; name another --run")
+    config = replace(config, imitation=imitation.config.imitation)
+    demonstrations = read_sums(source)[DEMONSTRATIONS]
+    return create_run("rl", config, folder, source, **existing, demonstrations=demonstrations)
+
+
+def _start_from_weights(config: Config, source: Path) -> tuple[Config, dict[str, str]]:
+    """The config of a training that starts from a weights file, and what its run.json says of that file."""
+    network, _ = load_weights(source)
+    if network.forces != config.forces:
+        columns, here = (len(column_names(forces)) for forces in (network.forces, config.forces))
+        remedy = "--forces" if network.forces else "--no-forces, and a variant without"
+        raise ConfigError(f"{source} reads {columns} columns, this training {here}; choose {remedy}")
+    config = replace(config, value_prior=network.value_prior)
+    return config, {"file": str(source.resolve()), "sha256": digest_of(source)}
+
+
+def _newest_fitting(config: Config) -> Path:
+    """The newest finished imitation run that fits this config; raises ConfigError, with what to type, without one."""
+    for folder in run_folders("il"):
+        if _fits(folder, config):
+            return folder
+    flags = f"--preset {config.preset} --seed {config.seed}"
+    raise ConfigError(
+        f"no finished imitation run fits ({flags}, same simulation): type sfmrl il {flags}, "
+        "name a run with --from, or do without with --from-scratch"
+    )
+
+
+def _fits(folder: Path, config: Config) -> bool:
+    """Whether a folder holds a finished imitation run for trainings with this config; raises DamagedFile."""
+    try:
+        run = open_run(folder, "il")
+    except DamagedFile as error:
+        raise DamagedFile(f"{error}, or name a run with --from") from None
+    except ConfigError:
+        return False
+    same = all(getattr(run.config, name) == getattr(config, name) for name in ("preset", "seed", "simulation"))
+    return finished(folder) and same
