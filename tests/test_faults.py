@@ -140,7 +140,7 @@ def moments(place: Path, name: str, all_of: str, every: int) -> list[int]:
 
 @pytest.mark.parametrize(
     ("name", "words", "all_of", "every"),
-    [("il", IL, ".lock config run.json 000003 000001.pt weights 000002.pt", 9), ("rl", RL, "", 13)],
+    [("il", IL, ".lock config run.json 000003 remove weights", 9), ("rl", RL, "", 11)],
     ids=["il", "rl"],
 )
 def test_a_run_killed_at_any_file_operation_goes_on_to_the_same_bits(place, tmp_path, name, words, all_of, every):
