@@ -345,17 +345,6 @@ def test_stopping_keeps_a_checkpoint_and_raises(tmp_path, whole):
     assert (run.folder / WEIGHTS).read_bytes() == (whole / WEIGHTS).read_bytes()
 
 
-def test_the_first_signal_is_a_request_and_the_second_acts_at_once():
-    before = signal.getsignal(signal.SIGTERM)
-    with StopSignal() as stop:
-        assert not stop.requested
-        os.kill(os.getpid(), signal.SIGTERM)
-        assert stop.requested
-        with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGTERM)
-    assert signal.getsignal(signal.SIGTERM) is before
-
-
 def test_new_runs_are_named_by_kind_variant_and_seed_and_never_reused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = [create_run("rl", make_config(variant="sarl-sfm6", seed=4), None, imitation=None).folder for _ in range(3)]

@@ -69,6 +69,17 @@ def test_a_signal_during_the_imports_or_after_is_one_line_too(tmp_path, number, 
     assert process.wait(60) in CODES
 
 
+def test_the_first_signal_is_a_request_and_the_second_acts_at_once():
+    before = signal.getsignal(signal.SIGTERM)
+    with StopSignal() as stop:
+        assert not stop.requested
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert stop.requested
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGTERM)
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
 def test_a_signal_that_is_ignored_stays_ignored_as_nohup_has_it():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
