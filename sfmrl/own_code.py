@@ -1,7 +1,7 @@
-"""Users' own Python functions: rewards and policies, and the files that rewards are in.
+"""Rewards and policies that users write as Python functions: load them, check what they return, explain their errors.
 
-Their arguments are read-only, so that none can forge a result, and each of their mistakes is one line of error.
-A reward that a run or weights file names is `Untrusted` and is not run: code does not travel with files.
+Their arguments are read-only, so that they cannot forge a result. Each mistake in them is reported in one line.
+A reward that a run or a weights file names is `Untrusted` and is not run: opening a file must not run code.
 """
 
 import hashlib
@@ -21,13 +21,14 @@ from sfmrl.config import Config, ConfigError, Reward, Untrusted, suggest
 
 
 class UntrustedReward(ConfigError):
-    """A reward that is not run, because a file names it and the user does not."""
+    """A reward that is not run, because only a file names it, not the user."""
 
 
 def read_only(thing: Any, copy: bool = True) -> Any:
-    """An array, or a dataclass of arrays, as a copy that cannot be written to; dataclasses in it become views.
+    """A copy of an array, or of a dataclass of arrays, that cannot be written to; nested dataclasses become views.
 
-    A copy, since whoever is given a view can make it writeable; what is in a world's parts decides no outcome.
+    A view would not do for the outer arrays, since its owner could make it writeable again. Nested dataclasses (the
+    parts of a world) decide no outcome.
     """
     if isinstance(thing, np.ndarray):
         thing = np.array(thing) if copy else thing.view()
@@ -41,12 +42,12 @@ def read_only(thing: Any, copy: bool = True) -> Any:
 
 
 def is_write(error: BaseException) -> bool:
-    """Whether `error` is what an attempt to change something `read_only` raises."""
+    """Whether `error` was raised by an attempt to change something `read_only`."""
     return isinstance(error, FrozenInstanceError) or (type(error) is ValueError and "read-only" in str(error))
 
 
 def takes_two(function: Callable) -> bool:
-    """Whether a function can be called with two arguments, as rewards and policies are."""
+    """Whether a function takes two arguments, as rewards and policies must."""
     try:
         inspect.signature(function).bind(None, None)
     except TypeError:
@@ -57,7 +58,7 @@ def takes_two(function: Callable) -> bool:
 
 
 def fault(who: str, function: Callable, error: BaseException, arguments: str) -> ConfigError:
-    """The error to raise where a user's function has raised `error`: its line of code, and what to change."""
+    """Make the error to raise when a user's function has raised `error`: its line of code, and what to change."""
     if is_write(error):
         remedy = "what it is given is read-only: work on a copy, as numpy.array(...) makes one"
     elif isinstance(error, TypeError) and not takes_two(function):
@@ -73,12 +74,12 @@ def fault(who: str, function: Callable, error: BaseException, arguments: str) ->
 
 
 def checked_array(who: str, function: Callable, returned: Any, shape: tuple[int, ...], meaning: str) -> np.ndarray:
-    """What a user's function returned, as floats of this shape; raises ConfigError where it is anything else."""
+    """Convert what a user's function returned to floats; raises ConfigError if not finite and of this shape."""
     line = getattr(getattr(function, "__code__", None), "co_firstlineno", None)
     who += f" (line {line})" if line else ""
     try:
         array = None if returned is None else np.asarray(returned, dtype=float)
-    except (TypeError, ValueError, RuntimeError):  # the last of a tensor that requires a gradient
+    except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor that requires a gradient
         array = None
     if array is None or array.shape != shape:
         what = kind(returned) if array is None or not array.ndim else f"an array of shape {array.shape}"
@@ -89,19 +90,19 @@ def checked_array(who: str, function: Callable, returned: Any, shape: tuple[int,
 
 
 def name_of(function: Callable) -> str:
-    """What an error message calls a function, or another callable."""
+    """The name of a function, or of another callable's type, for error messages."""
     return getattr(function, "__name__", type(function).__name__)
 
 
 def kind(thing: Any) -> str:
-    """What an error message calls an argument, or a returned value, of another type than is wanted."""
+    """A value of the wrong type, for error messages: text and numbers themselves, the type of all else."""
     return repr(thing) if isinstance(thing, (str, int, float, type(None))) else f"a {type(thing).__name__}"
 
 
 def load(name: str) -> Callable:
-    """The function that "file.py:function" or "package.module:function" names.
+    """Load the function that "file.py:function" or "package.module:function" names.
 
-    Raises UntrustedReward where the name is a file's, ConfigError where there is no such function.
+    Raises UntrustedReward if only a file names it, ConfigError if there is no such function.
     """
     if isinstance(name, Untrusted):
         raise UntrustedReward(
@@ -122,20 +123,20 @@ def load(name: str) -> Callable:
 
 
 def trusted(config: Config, trust: bool | str) -> Config:
-    """The config with a reward that may be run, if `trust` is True or the name of this very reward."""
+    """Allow the config's reward to be run if `trust` is True or names the same reward."""
     name = config.reward.reward
     named = type(trust) is str and absolute(trust) == absolute(name)
     return replace(config, reward=replace(config.reward, reward=str(name))) if trust is True or named else config
 
 
 def absolute(name: str) -> str:
-    """A reward's name, by which its file is found from any folder if it is in one."""
+    """Make the path in a reward's name absolute, if it has one, so that the file is found from any folder."""
     place, colon, function = name.rpartition(":")
     return f"{Path(place).resolve()}{colon}{function}" if place.endswith(".py") else name
 
 
 def reward_digest(settings: Reward) -> str | None:
-    """SHA-256 of the file that an own reward is in, None without a file; raises ConfigError if it is missing."""
+    """The SHA-256 of the file with a user's reward; None without a file. Raises ConfigError if it is missing."""
     file = _file(settings.reward)
     return hashlib.sha256(file.read_bytes()).hexdigest() if file else None
 
@@ -150,7 +151,7 @@ def _file(name: str) -> Path | None:
 
 
 def _line(error: BaseException, file: str) -> str:
-    """The line of a file in which an exception was raised, as " (line 7)"; "" where it was elsewhere."""
+    """The line of `file` that raised an exception, as " (line 7)"; "" if none did."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
     if isinstance(error, SyntaxError) and error.filename == file:
         lines.append(error.lineno)
