@@ -12,7 +12,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from sfmrl.config import Config, ConfigError, Planner, Reward, Simulation
-from sfmrl.crowd import World, advance, crowd_velocities, reset, transition
 from sfmrl.geometry import length
 from sfmrl.lookahead import Policy, step_discount
 from sfmrl.own_code import checked_array, fault, is_write, kind, name_of, read_only, takes_two
@@ -20,6 +19,7 @@ from sfmrl.policies import find_policy
 from sfmrl.rewards import OUTCOMES, RUNNING, OwnReward, Terms, Transition, as_reward, reward_terms, total
 from sfmrl.scenes import Scenes
 from sfmrl.states import elements_within, robot_states
+from sfmrl.world import World, advance, crowd_velocities, reset, transition
 
 BATCH = 256  # episodes side by side, where a policy does not name another number
 TOLERANCE = 1e-4  # m/s by which a policy may exceed v_pref: ORCA computes in float32

@@ -8,10 +8,10 @@ from sfmrl.config import EPISODES, Config, Reward, Simulation, in_range
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.intervals import wilson
 from sfmrl.lookahead import Policy
-from sfmrl.planner import solvable
 from sfmrl.policies import find_policy
 from sfmrl.progress import Progress, no_progress
 from sfmrl.recovery import RecoveringPolicy
+from sfmrl.recovery.planner import solvable
 from sfmrl.rewards import OwnReward, as_reward
 from sfmrl.scenes import sample_scenes
 

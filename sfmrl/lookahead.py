@@ -11,14 +11,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sfmrl.actions import ACTIONS, best_untrapped
 from sfmrl.config import Config, ConfigError, Simulation
-from sfmrl.crowd import World, transition
 from sfmrl.fast import as_fast
 from sfmrl.rewards import COLLISION, reward_terms, total
 from sfmrl.states import elements_within, is_alone, robot_states
+from sfmrl.traps import best_untrapped
+from sfmrl.world import World, transition
 
 BLOCK = 4  # episodes at most that are looked at together, so that what is computed stays in the processor's cache
+
+
+def _actions() -> np.ndarray:
+    """CrowdNav's 81 actions as shares of v_pref: stop, then 16 headings with 5 speeds (e^(i/5) - 1) / (e - 1) each."""
+    speeds = (np.exp(np.arange(1, 6) / 5) - 1) / (np.e - 1)
+    headings = np.arange(16) * (2 * np.pi / 16)
+    moves = speeds[None, :, None] * np.stack((np.cos(headings), np.sin(headings)), -1)[:, None]
+    return np.concatenate((np.zeros((1, 2)), moves.reshape(80, 2)))
+
+
+ACTIONS = _actions()
 
 # (world, crowd_velocity) -> the robot's actions (E, 2) in m/s; `crowd_velocity` (E, N, 2) is what the people are about
 # to do.

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from sfmrl.config import ConfigError, suggest
-from sfmrl.crowd import World, orca_crowd, sfm_crowd
 from sfmrl.files import read_checked
 from sfmrl.folders import OLD, WEIGHTS, unfinished
 from sfmrl.geometry import direction
@@ -14,6 +13,7 @@ from sfmrl.lookahead import Policy, SarlPolicy, available_cores
 from sfmrl.models import model_names, model_weights
 from sfmrl.own_code import kind, trusted
 from sfmrl.recovery import with_recovery
+from sfmrl.world import World, orca_crowd, sfm_crowd
 
 
 def linear_policy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:

@@ -14,9 +14,9 @@ from sfmrl import draw_map, evaluate, load_map, load_policy, read_map, sample_sc
 from sfmrl.config import Config, ConfigError, Planner
 from sfmrl.maps import why_unsolvable
 from sfmrl.maps.format import parse
-from sfmrl.planner import solvable
 from sfmrl.progress import no_progress
 from sfmrl.recovery import with_recovery
+from sfmrl.recovery.planner import solvable
 from sfmrl.runs import open_run
 from sfmrl.scenes import elements_of
 from sfmrl.stopping import Interrupted, StopSignal

@@ -6,14 +6,14 @@ import math
 import numpy as np
 import pytest
 
-from sfmrl import planner as planner_module
 from sfmrl.config import ConfigError, Planner, Simulation
-from sfmrl.crowd import reset
 from sfmrl.episodes import play
-from sfmrl.planner import plan, solvable
 from sfmrl.policies import orca_policy
 from sfmrl.recovery import RecoveringPolicy
+from sfmrl.recovery import planner as planner_module
+from sfmrl.recovery.planner import plan, solvable
 from sfmrl.scenes import Scenes, sample_scenes
+from sfmrl.world import reset
 
 
 def among_squares(*squares: tuple[float, float], goal=(0.0, 4.0)) -> Scenes:

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from conftest import DATA
 
-from sfmrl.actions import ACTIONS, best_untrapped
 from sfmrl.config import Config
-from sfmrl.crowd import World, advance, crowd_velocities, reset, transition
 from sfmrl.episodes import play
-from sfmrl.lookahead import SarlPolicy
+from sfmrl.lookahead import ACTIONS, SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.rewards import COLLISION, RUNNING
 from sfmrl.scenes import Scenes
+from sfmrl.traps import best_untrapped
+from sfmrl.world import World, advance, crowd_velocities, reset, transition
 
 
 def crowded(episodes: int, seed: int) -> World:

@@ -5,16 +5,16 @@ from itertools import product
 import numpy as np
 import pytest
 
-from sfmrl.actions import ACTIONS, OUTLOOK, best_untrapped, trapped
 from sfmrl.config import Config, Planner, Reward, Simulation
-from sfmrl.crowd import advance, crowd_velocities, reset, transition
 from sfmrl.episodes import play_episodes
-from sfmrl.lookahead import RememberingPolicy, SarlPolicy
+from sfmrl.lookahead import ACTIONS, RememberingPolicy, SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import find_policy, linear_policy, orca_policy
 from sfmrl.recovery import RecoveringPolicy, straight_way_is_free, with_recovery
 from sfmrl.rewards import COLLISION
 from sfmrl.scenes import Scenes, sample_scenes
+from sfmrl.traps import OUTLOOK, best_untrapped, trapped
+from sfmrl.world import advance, crowd_velocities, reset, transition
 
 ON = Planner(recover=True)
 

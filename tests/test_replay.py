@@ -10,10 +10,9 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
-from sfmrl.actions import ACTIONS
 from sfmrl.config import Reward, Simulation
 from sfmrl.episodes import Record, play
-from sfmrl.lookahead import Lookahead, SarlPolicy
+from sfmrl.lookahead import ACTIONS, Lookahead, SarlPolicy
 from sfmrl.policies import linear_policy, orca_policy
 from sfmrl.replay.canvas import Canvas, View, fit_view
 from sfmrl.replay.frames import (

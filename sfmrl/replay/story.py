@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sfmrl.config import Planner, Reward
-from sfmrl.crowd import World, reset
 from sfmrl.episodes import Record
 from sfmrl.lookahead import Lookahead, Policy, step_discount
 from sfmrl.recovery import RecoveringPolicy
 from sfmrl.rewards import RUNNING, reward_terms, total
 from sfmrl.sfm import repulsive_forces
+from sfmrl.world import World, reset
 
 ELEMENT_GLYPHS = "123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
 

@@ -7,13 +7,13 @@ with the robot moving as it is about to and the person as before the step; a tim
 """
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
 from sfmrl.config import CROWD_FORCE, Planner, Simulation
 from sfmrl.geometry import closest_approach, direction, length, limit, square_gap
 from sfmrl.orca import Edges, orca_velocities, polygon_edges
-from sfmrl.planner import Geodesics, plan
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenes import Scenes
 from sfmrl.sfm import sfm_velocities
@@ -46,7 +46,7 @@ class World:
     edges: Edges
     episode: np.ndarray
     simulation: Simulation
-    geodesics: Geodesics | None = None
+    geodesics: Any = None
 
     def __len__(self) -> int:
         return len(self.position)
@@ -101,6 +101,8 @@ class World:
 
 def reset(scenes: Scenes, simulation: Simulation = Simulation(), planner: Planner | None = None) -> World:
     """The world in which all `scenes` stand at their starts, everybody at rest; with geodesics if `planner` asks."""
+    from sfmrl.recovery import plan
+
     velocity = np.where(np.isnan(scenes.start), np.nan, 0.0)
     reach = simulation.longest * simulation.time_step * scenes.v_pref[:, 0]
     return World(

@@ -1,23 +1,13 @@
-"""The robot's 81 actions, and which of them lead into a trap: a place that no action leaves without a collision."""
+"""Traps: places that no action leaves without a collision, and the choice of an action that leads into none."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from sfmrl.crowd import World, advance, crowd_velocities, transition
 from sfmrl.geometry import length
 from sfmrl.rewards import COLLISION, RUNNING
+from sfmrl.world import World, advance, crowd_velocities, transition
 
-
-def _actions() -> np.ndarray:
-    """CrowdNav's 81 actions as shares of v_pref: stop, then 16 headings with 5 speeds (e^(i/5) - 1) / (e - 1) each."""
-    speeds = (np.exp(np.arange(1, 6) / 5) - 1) / (np.e - 1)
-    headings = np.arange(16) * (2 * np.pi / 16)
-    moves = speeds[None, :, None] * np.stack((np.cos(headings), np.sin(headings)), -1)[:, None]
-    return np.concatenate((np.zeros((1, 2)), moves.reshape(80, 2)))
-
-
-ACTIONS = _actions()
 # Those that are tried where sequences of actions are: stop, and all headings at full speed and at 0.48 of it.
 OUTLOOK = np.flatnonzero(np.isin(np.arange(81) % 5, (0, 3)))
 ROUNDING = 1e-9  # m, more than a distance may be off by

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from sfmrl.actions import ACTIONS, best_untrapped
 from sfmrl.config import Planner
-from sfmrl.crowd import World, transition
 from sfmrl.geometry import closest_approach
-from sfmrl.lookahead import Policy
+from sfmrl.lookahead import ACTIONS, Policy
 from sfmrl.rewards import COLLISION, SUCCESS
+from sfmrl.traps import best_untrapped
+from sfmrl.world import World, transition
 
 TRAP_STEPS = 2  # after the one that is chosen
 
