@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from sfmrl.config import Config, ConfigError, Planner, Reward, Simulation
+from sfmrl.config import Config, ConfigError, Reward, Simulation
 from sfmrl.geometry import length
 from sfmrl.lookahead import Policy, step_discount
 from sfmrl.own_code import checked_array, fault, is_write, kind, name_of, read_only, takes_two
@@ -68,10 +68,10 @@ class Record:
         arrays = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name not in ("scenes", "simulation")}
         return Record(self.scenes.take(rows), self.simulation, **arrays)
 
-    def worlds(self, planner: Planner | None = None) -> World:
+    def worlds(self) -> World:
         """The worlds before every step played, flat: S of them in the order of episodes, then time."""
         episode, step = np.nonzero(self.played)
-        start = reset(self.scenes, self.simulation, planner).take(episode)
+        start = reset(self.scenes, self.simulation).take(episode)
         at = (episode, step)
         return World(**{**vars(start), "position": self.position[at], "velocity": self.velocity[at], "steps": step})
 
@@ -136,7 +136,9 @@ def play_episodes(
     """`play` with whole configs, `batch` episodes at a time; `progress` is told how many have ended."""
     batch = getattr(policy, "batch", BATCH) if batch is None else batch
     terms = reward_terms(reward)
-    whole = reset(scenes, simulation, getattr(policy, "planner", None))
+    if begin := getattr(policy, "begin", None):
+        begin(scenes, simulation)
+    whole = reset(scenes, simulation)
     count, rows = whole.position.shape[:2]
     longest = simulation.longest
     if (needed := 8 * count * longest * (5 * rows + 7)) > memory_size():  # bytes of all that is recorded

@@ -5,9 +5,9 @@ of the crowd serves all 81.
 """
 
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -31,9 +31,18 @@ def _actions() -> np.ndarray:
 
 ACTIONS = _actions()
 
-# (world, crowd_velocity) -> the robot's actions (E, 2) in m/s; `crowd_velocity` (E, N, 2) is what the people are about
-# to do.
-Policy = Callable[[World, np.ndarray], np.ndarray]
+
+class Policy(Protocol):
+    """What chooses the robot's actions: a function of (world, crowd_velocity), or an object that is called like one.
+
+    An object may have more, which is used where it is there:
+    begin(scenes, simulation): called before the first step of every play, to prepare for its episodes
+    batch: how many episodes to play side by side
+    config: the `Config` that it was trained with, for the default settings of tests
+    """
+
+    def __call__(self, world: World, crowd_velocity: np.ndarray) -> np.ndarray:
+        """Return the robots' velocities (E, 2) in m/s; the people are about to move with `crowd_velocity` (E, N, 2)."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from sfmrl.geometry import direction
 from sfmrl.lookahead import Policy, SarlPolicy, available_cores
 from sfmrl.models import model_names, model_weights
 from sfmrl.own_code import kind, trusted
-from sfmrl.recovery import with_recovery
 from sfmrl.world import World, orca_crowd, sfm_crowd
 
 
@@ -60,6 +59,7 @@ def load_policy(name_or_path: str | Path, threads: int | None = None, *, trust_r
     """
     if str(name_or_path) in POLICIES:
         return POLICIES[str(name_or_path)]
+    from sfmrl.recovery import with_recovery
     from sfmrl.weights import load_weights
 
     network, config = load_weights(find_weights(name_or_path))

@@ -7,11 +7,10 @@ with the robot moving as it is about to and the person as before the step; a tim
 """
 
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import numpy as np
 
-from sfmrl.config import CROWD_FORCE, Planner, Simulation
+from sfmrl.config import CROWD_FORCE, Simulation
 from sfmrl.geometry import closest_approach, direction, length, limit, square_gap
 from sfmrl.orca import Edges, orca_velocities, polygon_edges
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
@@ -33,7 +32,6 @@ class World:
     edges: the squares' outlines, for ORCA
     episode (E,): which row of the scenes each episode is
     simulation: time step, time limit and the crowd's model, a `Simulation`
-    geodesics: ways around squares in all the scenes, None unless a policy plans
     """
 
     position: np.ndarray
@@ -46,7 +44,6 @@ class World:
     edges: Edges
     episode: np.ndarray
     simulation: Simulation
-    geodesics: Any = None
 
     def __len__(self) -> int:
         return len(self.position)
@@ -75,9 +72,9 @@ class World:
 
     def take(self, rows: np.ndarray) -> "World":
         """The world of some of the episodes: an index array."""
-        whole = ("edges", "simulation", "geodesics")
+        whole = ("edges", "simulation")
         kept = {f.name: getattr(self, f.name).take(rows, axis=0) for f in fields(self) if f.name not in whole}
-        return World(**kept, edges=self.edges.take(rows), simulation=self.simulation, geodesics=self.geodesics)
+        return World(**kept, edges=self.edges.take(rows), simulation=self.simulation)
 
     def among(self, chosen: np.ndarray) -> "World":
         """The world with the `chosen` elements, (E, N - 1) bool; where others have more, with some besides."""
@@ -89,22 +86,10 @@ class World:
         each = ("position", "velocity", "goal", "radius", "v_pref", "square")
         return replace(self, **{name: getattr(self, name)[rows] for name in each})
 
-    def geodesic_distance(self, position: np.ndarray) -> np.ndarray:
-        """How far it is from positions (E, ..., 2) to the robot's goal around the squares, (E, ...) m.
 
-        Raises ValueError where the world was made without a planner.
-        """
-        if self.geodesics is None:
-            raise ValueError("this world knows no ways around squares; make it with reset(scenes, simulation, planner)")
-        return self.geodesics.at(self.episode, position)
-
-
-def reset(scenes: Scenes, simulation: Simulation = Simulation(), planner: Planner | None = None) -> World:
-    """The world in which all `scenes` stand at their starts, everybody at rest; with geodesics if `planner` asks."""
-    from sfmrl.recovery import plan
-
+def reset(scenes: Scenes, simulation: Simulation = Simulation()) -> World:
+    """The world in which all `scenes` stand at their starts, everybody at rest."""
     velocity = np.where(np.isnan(scenes.start), np.nan, 0.0)
-    reach = simulation.longest * simulation.time_step * scenes.v_pref[:, 0]
     return World(
         position=scenes.start,
         velocity=velocity,
@@ -116,7 +101,6 @@ def reset(scenes: Scenes, simulation: Simulation = Simulation(), planner: Planne
         edges=polygon_edges(scenes.polygons, scenes.start),
         episode=np.arange(len(scenes)),
         simulation=simulation,
-        geodesics=None if planner is None else plan(scenes, planner, reach),
     )
 
 

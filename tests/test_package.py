@@ -56,13 +56,13 @@ LEVELS = (
         "world",
         "traps",
         "lookahead",
-        "recovery.policy",
-        "recovery",
         "policies",
         "episodes",
     ),
     (
         "evaluation",
+        "recovery.policy",
+        "recovery",
         "fast.optimizers",
         "learning",
         "exploration",
@@ -115,7 +115,7 @@ LEVELS = (
     ),
 )
 ORDER = [name for level in LEVELS for name in level]
-LATER = {"scenes": {"maps"}, "world": {"recovery"}}  # imported inside a function
+LATER = {"scenes": {"maps"}, "policies": {"recovery"}, "evaluation": {"recovery"}}  # inside a function
 WITH_TORCH = {"network"}
 PACKAGE = sorted((ROOT / "sfmrl").rglob("*.py"))
 MODELS = sorted((ROOT / "sfmrl" / "models").iterdir())

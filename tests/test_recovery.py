@@ -50,8 +50,9 @@ def test_stuck_is_who_has_not_come_nearer_within_the_stall_time():
     assert not moved[:8].any()
     assert moved[8]
     assert policy.helped.all()
-    stuck = policy.watch_all(record.worlds(ON))
-    np.testing.assert_array_equal(stuck, moved)
+    worlds = record.worlds()
+    policy.begin(blocked, Simulation())
+    np.testing.assert_array_equal([policy.watch(worlds.take([t]))[0] for t in range(len(worlds))], moved)
     patient = RecoveringPolicy(still, Planner(recover=True, stall_time=30.0))
     assert not np.nan_to_num(play_episodes(blocked, patient, Reward(), Simulation()).velocity).any()
 

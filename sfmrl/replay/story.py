@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sfmrl.config import Planner, Reward
+from sfmrl.config import Reward
 from sfmrl.episodes import Record
 from sfmrl.lookahead import Lookahead, Policy, step_discount
 from sfmrl.recovery import RecoveringPolicy
@@ -77,12 +77,12 @@ def make_story(record: Record, row: int, policy: Policy, reward: Reward, discoun
     """
     record = record.take(np.array([row]))
     scenes, steps = record.scenes, int(record.steps[0])
-    moments = _moments(record, getattr(policy, "planner", None))
+    moments = _moments(record)
     step = record.transition[0, :steps]
     terms = reward_terms(reward)(step)
     factors = step_discount(discount, scenes.v_pref[0, 0], record.simulation) ** np.arange(steps)
     close = (step.outcome == RUNNING) & (step.separation < reward.discomfort_distance)
-    attention, look, stuck = _choices(policy, moments)
+    attention, look, stuck = _choices(policy, record, moments)
     return Story(
         name=scene_name(scenes.environment[0], scenes.episode[0]),
         time=moments.time,
@@ -107,14 +107,14 @@ def make_story(record: Record, row: int, policy: Policy, reward: Reward, discoun
     )
 
 
-def _moments(record: Record, planner: Planner | None) -> World:
-    """The world at each of the T + 1 moments of a record of one episode; with geodesics if there is a planner."""
+def _moments(record: Record) -> World:
+    """The world at each of the T + 1 moments of a record of one episode."""
     steps = np.arange(record.steps[0] + 1)
-    start = reset(record.scenes, record.simulation, planner).take(np.zeros_like(steps))
+    start = reset(record.scenes, record.simulation).take(np.zeros_like(steps))
     return replace(start, position=record.position[0, steps], velocity=record.velocity[0, steps], steps=steps)
 
 
-def _choices(policy: Policy, moments: World) -> tuple[np.ndarray | None, Lookahead | None, np.ndarray]:
+def _choices(policy: Policy, record: Record, moments: World) -> tuple[np.ndarray | None, Lookahead | None, np.ndarray]:
     """Compute anew what `policy` weighed up as it played: attention (T + 1, K), look, stuck (T,), as in Story."""
     before = moments.take(np.arange(len(moments) - 1))  # the worlds in which it chose
     attention = look = None
@@ -123,7 +123,8 @@ def _choices(policy: Policy, moments: World) -> tuple[np.ndarray | None, Lookahe
         attention = policy.attention(moments)
     stuck = np.zeros(len(before), dtype=bool)
     if isinstance(policy, RecoveringPolicy):
-        stuck = policy.watch_all(before)
+        policy.begin(record.scenes, record.simulation)
+        stuck = np.concatenate([policy.watch(before.take([t])) for t in range(len(before))])
     return attention, look, stuck
 
 
