@@ -32,17 +32,27 @@ def _actions() -> np.ndarray:
 ACTIONS = _actions()
 
 
+Notes = dict[str, np.ndarray]  # what a policy can tell of its choice, arrays (E, ...) by name
+
+
 class Policy(Protocol):
     """What chooses the robot's actions: a function of (world, crowd_velocity), or an object that is called like one.
 
     An object may have more, which is used where it is there:
     begin(scenes, simulation): called before the first step of every play, to prepare for its episodes
+    explain(world, crowd_velocity): the call's actions and `Notes` on them, for records that keep these
     batch: how many episodes to play side by side
     config: the `Config` that it was trained with, for the default settings of tests
     """
 
     def __call__(self, world: World, crowd_velocity: np.ndarray) -> np.ndarray:
         """Return the robots' velocities (E, 2) in m/s; the people are about to move with `crowd_velocity` (E, N, 2)."""
+
+
+def explained(policy: Policy, world: World, crowd_velocity: np.ndarray) -> tuple[np.ndarray, Notes]:
+    """A policy's actions (E, 2) in m/s and its notes on them; none from a policy that takes no notes."""
+    explain = getattr(policy, "explain", None)
+    return explain(world, crowd_velocity) if explain else (policy(world, crowd_velocity), {})
 
 
 @dataclass(frozen=True)
@@ -52,6 +62,11 @@ class Lookahead:
     actions: np.ndarray
     values: np.ndarray
     best: np.ndarray
+
+    @property
+    def action(self) -> np.ndarray:
+        """The best actions, (E, 2) m/s."""
+        return self.actions[np.arange(len(self.best)), self.best]
 
 
 class SarlPolicy:
@@ -71,8 +86,12 @@ class SarlPolicy:
         self._pool = ThreadPoolExecutor(threads)
 
     def __call__(self, world: World, crowd_velocity: np.ndarray) -> np.ndarray:
+        return self.lookahead(world, crowd_velocity).action
+
+    def explain(self, world: World, crowd_velocity: np.ndarray) -> tuple[np.ndarray, Notes]:
+        """The actions and, as notes, the arrays of the `Lookahead` from which they were chosen."""
         look = self.lookahead(world, crowd_velocity)
-        return look.actions[np.arange(len(world)), look.best]
+        return look.action, vars(look)
 
     def lookahead(self, world: World, crowd_velocity: np.ndarray) -> Lookahead:
         """Values of all actions in every episode of the world."""

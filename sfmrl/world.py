@@ -6,10 +6,11 @@ the policy's choice, `transition` (the one place where outcomes are judged), `ad
 with the robot moving as it is about to and the person as before the step; a time-out is judged before anything else.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sfmrl.batch import Batch
 from sfmrl.config import CROWD_FORCE, Simulation
 from sfmrl.geometry import closest_approach, direction, length, limit, square_gap
 from sfmrl.orca import Edges, orca_velocities, polygon_edges
@@ -19,7 +20,7 @@ from sfmrl.sfm import sfm_velocities
 
 
 @dataclass(frozen=True)
-class World:
+class World(Batch):
     """E episodes at one moment, each of N rows: the robot (row 0), people, squares; absent rows are NaN.
 
     position (E, N, 2): m
@@ -69,12 +70,6 @@ class World:
     def preferred_velocity(self) -> np.ndarray:
         """Way to the goal of each agent, at most v_pref long (CrowdNav: shorter within reach of it), (E, N, 2) m/s."""
         return limit(self.goal - self.position, self.v_pref)
-
-    def take(self, rows: np.ndarray) -> "World":
-        """The world of some of the episodes: an index array."""
-        whole = ("edges", "simulation")
-        kept = {f.name: getattr(self, f.name).take(rows, axis=0) for f in fields(self) if f.name not in whole}
-        return World(**kept, edges=self.edges.take(rows), simulation=self.simulation)
 
     def among(self, chosen: np.ndarray) -> "World":
         """The world with the `chosen` elements, (E, N - 1) bool; where others have more, with some besides."""

@@ -23,6 +23,7 @@ LEVELS = (
         "config",
         "variants",
         "folders",
+        "batch",
         "geometry",
         "progress",
         "stopping",

@@ -45,16 +45,27 @@ def test_stuck_is_who_has_not_come_nearer_within_the_stall_time():
 
     blocked = Scenes([[(0, -4), (0, 0)]], [[(0, 4), (0, 0)]], square=[[False, True]])
     policy = RecoveringPolicy(still, ON)
-    record = play_episodes(blocked, policy, Reward(), Simulation())
+    record = play_episodes(blocked, policy, Reward(), Simulation(), keep=True)
     moved = np.hypot(*record.velocity[0, 1 : record.steps[0] + 1, 0].T) > 0
     assert not moved[:8].any()
     assert moved[8]
     assert policy.helped.all()
-    worlds = record.worlds()
-    policy.begin(blocked, Simulation())
-    np.testing.assert_array_equal([policy.watch(worlds.take([t]))[0] for t in range(len(worlds))], moved)
+    np.testing.assert_array_equal(record.notes["stuck"][0], moved)
     patient = RecoveringPolicy(still, Planner(recover=True, stall_time=30.0))
     assert not np.nan_to_num(play_episodes(blocked, patient, Reward(), Simulation()).velocity).any()
+
+
+def test_keeping_notes_changes_nothing_that_is_played():
+    scenes, config = sample_scenes("2", 4), Config(careful=True)
+    policy = RecoveringPolicy(SarlPolicy(ValueNetwork(), config), ON)
+    plain, noted = (play_episodes(scenes, policy, Reward(), Simulation(), keep=keep) for keep in (False, True))
+    np.testing.assert_array_equal(noted.position, plain.position)
+    assert plain.notes == {}
+    assert noted.notes["values"].shape == (*noted.reward.shape, 81)
+    np.testing.assert_array_equal(noted.notes["stuck"].any(1), policy.helped)
+    one = noted.take([2])
+    look = policy.lookahead(one.worlds(), one.velocity[0, 1 : one.steps[0] + 1])
+    np.testing.assert_array_equal(one.notes["values"][0, : one.steps[0]], look.values)
 
 
 def test_the_straight_way_is_judged_by_the_squares_alone():

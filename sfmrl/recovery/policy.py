@@ -13,7 +13,7 @@ import numpy as np
 
 from sfmrl.config import Planner, Simulation
 from sfmrl.geometry import closest_approach
-from sfmrl.lookahead import ACTIONS, Policy
+from sfmrl.lookahead import ACTIONS, Notes, Policy, explained
 from sfmrl.recovery.planner import Geodesics, plan
 from sfmrl.rewards import COLLISION, SUCCESS
 from sfmrl.scenes import Scenes
@@ -60,6 +60,15 @@ class RecoveringPolicy:
             if len(rows):
                 action[rows] = choose(world.take(rows), crowd_velocity[rows])
         return action
+
+    def explain(self, world: World, crowd_velocity: np.ndarray) -> tuple[np.ndarray, Notes]:
+        """The call's actions; in the notes, whether the robot is `stuck`, and what the policy itself would weigh up."""
+        stuck = self.watch(world)
+        action, notes = explained(self.policy, world, crowd_velocity)
+        action = np.array(action, dtype=float)
+        if stuck.any():
+            action[stuck] = self.way_out(world.take(np.flatnonzero(stuck)), crowd_velocity[stuck])
+        return action, notes | {"stuck": stuck}
 
     def watch(self, world: World) -> np.ndarray:
         """Note how far the robots have come, and return which of them are stuck, (E,) bool."""
