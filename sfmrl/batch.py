@@ -1,6 +1,5 @@
 """What scenes, worlds, transitions and records have in common: arrays whose leading axis is the episode."""
 
-from dataclasses import fields
 from typing import Any, Self
 
 import numpy as np
@@ -11,7 +10,7 @@ class Batch:
 
     def take(self, rows: np.ndarray | slice) -> Self:
         """The same for some of the episodes: an index array, a mask or a slice."""
-        parts = {item.name: getattr(self, item.name) for item in fields(self)}
+        parts = vars(self)
         index = np.arange(len(next(iter(parts.values()))))[rows]
         return type(self)(**{name: _taken(part, index) for name, part in parts.items()})
 

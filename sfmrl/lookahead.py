@@ -128,7 +128,7 @@ class SarlPolicy:
         reward = total(self._terms(step))
         dt = world.simulation.time_step
         states = robot_states(
-            world.position[:, :1] + action * dt,
+            world.ahead(action),
             action,
             world.goal[:, :1],
             world.radius[:, :1],

@@ -1,4 +1,17 @@
-"""Traps: places that no action leaves without a collision, and the choice of an action that leads into none."""
+"""Traps: places that no action leaves without a collision, and the choice of an action that leads into none.
+
+The rule for one episode, as `best_untrapped` and `trapped` compute it for many:
+
+    for depth in (steps, ..., 2, 1):                              # prefer the longer outlook
+        for action in the actions that do not collide, the most valuable first:
+            if the episode ends with it, or not trapped(the world after it, depth): return action
+    return the most valuable action that does not collide, or where all do, the most valuable of all
+
+    trapped(world, depth): each action collides, or depth > 1 and trapped(the world after it, depth - 1)
+
+Every step is exact. As in `transition`, a collision is judged by the velocities that people had before the step: in the
+first step after the choice by their `crowd_velocity`, in later ones by what the simulator computes.
+"""
 
 from dataclasses import replace
 
@@ -8,7 +21,7 @@ from sfmrl.geometry import length
 from sfmrl.rewards import COLLISION, RUNNING
 from sfmrl.world import World, advance, crowd_velocities, transition
 
-# Those that are tried where sequences of actions are: stop, and all headings at full speed and at 0.48 of it.
+# Of the 81 actions, those that are tried in sequences: stop, and all headings at full speed and at 0.48 of it.
 OUTLOOK = np.flatnonzero(np.isin(np.arange(81) % 5, (0, 3)))
 ROUNDING = 1e-9  # m, more than a distance may be off by
 
@@ -21,57 +34,54 @@ def best_untrapped(
     outcome: np.ndarray,
     steps: int = 1,
 ) -> np.ndarray:
-    """The most valuable actions (E,) that neither collide nor lead where every action (E, A, 2) does.
+    """The index of each episode's most valuable action that neither collides nor leads into a trap `steps` deep, (E,).
 
-    `values` and `outcome` (E, A) are those of the actions. With more `steps`, actions are preferred after which `steps`
-    others (of `OUTLOOK`) are possible without a collision. Where every free action leads into a trap, the most valuable
-    of them; where every action collides, the most valuable of all.
-
-    Every step is exact. A collision is judged by the velocities that people had before the step: those of the next are
-    the `crowd_velocity` (E, N, 2) of this one, in m/s, and those after it are asked of the simulator.
+    `values` and `outcome` (E, A) are those of the `actions` (E, A, 2) in m/s; the people are about to move with
+    `crowd_velocity` (E, N, 2) in m/s. Sequences of two and more steps consist of the actions in `OUTLOOK`.
     """
     safe = np.where(outcome == COLLISION, -np.inf, values)
-    free = np.isfinite(safe).any(1)
-    best = np.where(free, safe.argmax(1), values.argmax(1))
-    watched = np.flatnonzero(free)
+    open_still = np.isfinite(safe).any(1)
+    best = np.where(open_still, safe.argmax(1), values.argmax(1))
+    # The shorter outlook first: where it finds no way out, the longer one finds none either.
     for depth in range(1, steps + 1):
-        left, pending, free = safe.copy(), watched, np.zeros(len(best), dtype=bool)
+        candidates, undecided = safe.copy(), np.flatnonzero(open_still)
+        open_still = np.zeros(len(best), dtype=bool)
         following = actions if depth == 1 else actions[:, OUTLOOK]
-        while len(pending):
-            choice = left[pending].argmax(1)
-            after = advance(world.take(pending), crowd_velocity[pending], actions[pending, choice])
-            bad = (outcome[pending, choice] == RUNNING) & trapped(after, following[pending], depth)
-            best[pending[~bad]] = choice[~bad]
-            free[pending[~bad]] = True
-            left[pending[bad], choice[bad]] = -np.inf
-            pending = pending[bad]
-            pending = pending[np.isfinite(left[pending]).any(1)]
-        watched = watched[free[watched]]
+        while len(undecided):
+            choice = candidates[undecided].argmax(1)
+            after = advance(world.take(undecided), crowd_velocity[undecided], actions[undecided, choice])
+            bad = (outcome[undecided, choice] == RUNNING) & trapped(after, following[undecided], depth)
+            best[undecided[~bad]] = choice[~bad]
+            open_still[undecided[~bad]] = True
+            candidates[undecided[bad], choice[bad]] = -np.inf
+            undecided = undecided[bad]
+            undecided = undecided[np.isfinite(candidates[undecided]).any(1)]
     return best
 
 
 def trapped(world: World, actions: np.ndarray, steps: int = 1) -> np.ndarray:
     """Whether all sequences of `steps` actions, of (E, A, 2) in m/s, collide, (E,) bool.
 
-    To stop is taken to be one of the actions, so that squares alone trap nobody who has not run into one.
+    Standing still is taken to be one of the actions, so that squares alone trap no robot that has not run into one.
     """
-    # Nobody can be met who is farther away than both can go.
+    # An element is out of reach if it is farther away than it and the robot can go together.
     gap = world.gap - ROUNDING
-    speed, own = length(world.velocity[:, 1:]), length(actions).max(1, initial=0.0)[:, None]
-    collides = transition(world.among(gap < world.simulation.time_step * (speed + own)), actions).outcome == COLLISION
+    speed, robot_speed = length(world.velocity[:, 1:]), length(actions).max(1, initial=0.0)[:, None]
+    in_reach = gap < world.simulation.time_step * (speed + robot_speed)
+    collides = transition(world.with_elements(in_reach), actions).outcome == COLLISION  # (E, A)
     lost = collides.all(1)
     if steps == 1:
         return lost
-    later = np.maximum(speed, world.v_pref[:, 1:])
-    near = (gap < steps * world.simulation.time_step * (later + own)) & ~world.square[:, 1:]
-    doubtful = np.flatnonzero(~lost & near.any(1))
+    later_speed = np.maximum(speed, world.v_pref[:, 1:])
+    near = (gap < steps * world.simulation.time_step * (later_speed + robot_speed)) & ~world.square[:, 1:]
+    doubtful = np.flatnonzero(~lost & near.any(1))  # the others can stand still
     before = world.take(doubtful)
     moves = crowd_velocities(before)
-    row, action = np.nonzero(~collides[doubtful])
-    first, then = actions[doubtful[row], action], actions[doubtful[row]]
-    if steps == 2:  # edges are for ORCA, which the last step does not ask, and large
+    if steps == 2:  # the last step needs no ORCA, and ORCA's edges are large to copy
         before = replace(before, edges=before.edges.none())
-    open_end = ~trapped(advance(before.take(row), moves[row], first), then, steps - 1)
+    row, action = np.nonzero(~collides[doubtful])  # all that can be done first, in all episodes
+    after = advance(before.take(row), moves[row], actions[doubtful[row], action])
+    goes_on = ~trapped(after, actions[doubtful[row]], steps - 1)
     lost[doubtful] = True
-    lost[doubtful[row[open_end]]] = False
+    lost[doubtful[row[goes_on]]] = False
     return lost

@@ -118,17 +118,6 @@ def test_a_network_finds_its_way_alone_as_among_absent_people():
     assert np.ptp(policy.lookahead(reset(empty), np.zeros((1, 1, 2))).values) > 1e-3
 
 
-def test_the_81_actions_are_crowdnav_s_up_to_their_order():
-    speeds = (np.exp(np.arange(1, 6) / 5) - 1) / (math.e - 1)
-    expected = {(0.0, 0.0)} | {
-        (round(s * math.cos(k * math.pi / 8), 9) + 0.0, round(s * math.sin(k * math.pi / 8), 9) + 0.0)
-        for s in speeds
-        for k in range(16)
-    }
-    assert {(round(x, 9) + 0.0, round(y, 9) + 0.0) for x, y in ACTIONS.tolist()} == expected
-    assert len(ACTIONS) == 81
-
-
 @given(st.integers(0, 1000), st.floats(0, 1))
 def test_returns_are_the_discounted_sums_from_each_step_on(seed, discount):
     rng = np.random.default_rng(seed)

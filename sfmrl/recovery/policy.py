@@ -86,7 +86,7 @@ class RecoveringPolicy:
         """The action (E, 2) in m/s after which the path to the goal is shortest, of those that are safe."""
         actions = ACTIONS * world.v_pref[:, 0, None, None]  # (E, A, 2)
         outcome = transition(world, actions).outcome
-        left = self.path_length(world, world.position[:, :1] + actions * world.simulation.time_step)
+        left = self.path_length(world, world.ahead(actions))
         left = np.where(outcome == SUCCESS, -1.0, np.where(outcome == COLLISION, np.inf, left))
         best = best_untrapped(world, crowd_velocity, actions, -left, outcome, TRAP_STEPS)
         return actions[np.arange(len(world)), best]
