@@ -1,13 +1,13 @@
-"""Play episodes to their end, many side by side, and keep a record of arrays that everything else reads.
+"""Play episodes to their end, many side by side, and record them in arrays that everything else reads.
 
-Episodes that end make room for waiting ones, so a batch stays full; which episodes share a batch changes no number.
+When episodes end, waiting ones take their places, so the batch stays full; which episodes share it changes no number.
 Rewards and returns are computed from the record afterwards: one set of episodes serves every reward and state.
 """
 
 import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -141,8 +141,9 @@ def play_episodes(
     count, longest = len(scenes), simulation.longest
     position, velocity = (np.full((count, longest + 1, *whole.position.shape[1:]), np.nan) for _ in range(2))
     position[:, 0], velocity[:, 0] = whole.position, whole.velocity
-    kept, notes = vars(_empty_transition(count, longest, whole.position.shape[1] - 1)), {}
-    steps = np.zeros(count, dtype=int)
+    kept, notes, steps = {}, {}, np.zeros(count, dtype=int)
+    nobody = whole.take(np.arange(0))
+    _write(kept, nobody, vars(transition(nobody, np.zeros((0, 2)))), count)  # makes the arrays
 
     waiting = min(getattr(policy, "batch", BATCH) if batch is None else batch, count)
     world = whole.take(np.arange(waiting))
@@ -208,10 +209,11 @@ def _choice(policy: Policy, world: World, moves: np.ndarray, keep: bool) -> tupl
 
 
 def _write(arrays: dict[str, np.ndarray], world: World, parts: dict[str, np.ndarray], count: int) -> None:
-    """Write what a step brings, `parts` (e, ...), into `arrays` (E, T, ...), which are made for the first step's."""
+    """Write a step's `parts` (e, ...) into `arrays` (E, T, ...), by name; those still missing are made, of NaN or 0."""
     for name, part in parts.items():
         if name not in arrays:
-            arrays[name] = np.zeros((count, world.simulation.longest, *part.shape[1:]), part.dtype)
+            empty = np.nan if part.dtype.kind == "f" else 0  # 0 is RUNNING, too
+            arrays[name] = np.full((count, world.simulation.longest, *part.shape[1:]), empty, part.dtype)
         arrays[name][world.episode, world.steps] = part
 
 
@@ -220,13 +222,6 @@ def _refill(whole: World, world: World, going: np.ndarray, fresh: np.ndarray) ->
     changing = ("position", "velocity", "steps")
     joined = {name: np.concatenate((getattr(world, name)[going], getattr(whole, name)[fresh])) for name in changing}
     return replace(whole.take(np.concatenate((world.episode[going], fresh))), **joined)
-
-
-def _empty_transition(count: int, steps: int, elements: int) -> Transition:
-    """A transition of (E, T) arrays to be filled in."""
-    more = {"velocity": (2,), "preferred_velocity": (2,), "separations": (elements,)}
-    arrays = {item.name: np.full((count, steps, *more.get(item.name, ())), np.nan) for item in fields(Transition)}
-    return Transition(**arrays | {"outcome": np.full((count, steps), RUNNING)})
 
 
 def memory_size() -> float:
