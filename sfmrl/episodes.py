@@ -1,32 +1,33 @@
-"""Play episodes to their end, many side by side, and keep a record of arrays that everything else reads.
+"""Play episodes to their end, many side by side, and record them in arrays that everything else reads.
 
-Episodes that end make room for waiting ones, so a batch stays full; which episodes share a batch changes no number.
+When episodes end, waiting ones take their places, so the batch stays full; which episodes share it changes no number.
 Rewards and returns are computed from the record afterwards: one set of episodes serves every reward and state.
 """
 
 import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sfmrl.config import Config, ConfigError, Planner, Reward, Simulation
-from sfmrl.crowd import World, advance, crowd_velocities, reset, transition
+from sfmrl.batch import Batch
+from sfmrl.config import Config, ConfigError, Reward, Simulation
 from sfmrl.geometry import length
-from sfmrl.lookahead import Policy, step_discount
+from sfmrl.lookahead import Notes, Policy, explained, step_discount
 from sfmrl.own_code import checked_array, fault, is_write, kind, name_of, read_only, takes_two
 from sfmrl.policies import find_policy
 from sfmrl.rewards import OUTCOMES, RUNNING, OwnReward, Terms, Transition, as_reward, reward_terms, total
 from sfmrl.scenes import Scenes
 from sfmrl.states import elements_within, robot_states
+from sfmrl.world import World, advance, crowd_velocities, reset, transition
 
 BATCH = 256  # episodes side by side, where a policy does not name another number
 TOLERANCE = 1e-4  # m/s by which a policy may exceed v_pref: ORCA computes in float32
 
 
 @dataclass(frozen=True)
-class Record:
+class Record(Batch):
     """E played episodes: arrays over time, NaN (outcome: running) after an episode's end; T the longest's steps.
 
     scenes: the `Scenes` that were played
@@ -37,6 +38,7 @@ class Record:
     transition: a `Transition` of arrays (E, T)
     reward (E, T): what each step paid
     discounted_return (E,): the rewards' discounted sum from the first step on
+    notes: arrays (E, T, ...) by name of what the policy noted at each step (`Policy.explain`), if they were kept
     """
 
     scenes: Scenes
@@ -47,6 +49,7 @@ class Record:
     transition: Transition
     reward: np.ndarray
     discounted_return: np.ndarray
+    notes: Notes = field(default_factory=dict)
 
     @property
     def outcome(self) -> np.ndarray:
@@ -63,15 +66,10 @@ class Record:
         """Which steps took place, (E, T) bool."""
         return np.arange(self.reward.shape[1]) < self.steps[:, None]
 
-    def take(self, rows: np.ndarray) -> "Record":
-        """The record of some of the episodes: an index array or a mask."""
-        arrays = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name not in ("scenes", "simulation")}
-        return Record(self.scenes.take(rows), self.simulation, **arrays)
-
-    def worlds(self, planner: Planner | None = None) -> World:
+    def worlds(self) -> World:
         """The worlds before every step played, flat: S of them in the order of episodes, then time."""
         episode, step = np.nonzero(self.played)
-        start = reset(self.scenes, self.simulation, planner).take(episode)
+        start = reset(self.scenes, self.simulation).take(episode)
         at = (episode, step)
         return World(**{**vars(start), "position": self.position[at], "velocity": self.velocity[at], "steps": step})
 
@@ -131,31 +129,32 @@ def play_episodes(
     *,
     discount: float = 0.9,
     batch: int | None = None,
+    keep: bool = False,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Record:
-    """`play` with whole configs, `batch` episodes at a time; `progress` is told how many have ended."""
-    batch = getattr(policy, "batch", BATCH) if batch is None else batch
-    terms = reward_terms(reward)
-    whole = reset(scenes, simulation, getattr(policy, "planner", None))
-    count, rows = whole.position.shape[:2]
-    longest = simulation.longest
-    if (needed := 8 * count * longest * (5 * rows + 7)) > memory_size():  # bytes of all that is recorded
-        raise MemoryError(f"{count} episodes of up to {longest} steps need {needed / 1e9:.1f} GB")
-    position = np.full((count, longest + 1, rows, 2), np.nan)
-    velocity = np.full((count, longest + 1, rows, 2), np.nan)
-    position[:, 0], velocity[:, 0] = whole.position, whole.velocity
-    kept = _empty_transition(count, longest, rows - 1)
-    steps = np.zeros(count, dtype=int)
+    """`play` with whole configs, `batch` episodes at a time; calls `progress` with the number that have just ended.
 
-    world, waiting = whole.take(np.arange(min(batch, count))), min(batch, count)
+    The record has the policy's notes if `keep`. Raises MemoryError where it would be too large for this machine.
+    """
+    terms = reward_terms(reward)
+    whole = _begin(scenes, policy, simulation)
+    count, longest = len(scenes), simulation.longest
+    position, velocity = (np.full((count, longest + 1, *whole.position.shape[1:]), np.nan) for _ in range(2))
+    position[:, 0], velocity[:, 0] = whole.position, whole.velocity
+    kept, notes, steps = {}, {}, np.zeros(count, dtype=int)
+    nobody = whole.take(np.arange(0))
+    _write(kept, nobody, vars(transition(nobody, np.zeros((0, 2)))), count)  # makes the arrays
+
+    waiting = min(getattr(policy, "batch", BATCH) if batch is None else batch, count)
+    world = whole.take(np.arange(waiting))
     while len(world):
         moves = crowd_velocities(world)
-        action = _choice(policy, world, moves)
+        action, noted = _choice(policy, world, moves, keep)
         step = transition(world, action)
-        if not steps.any():
+        if not world.steps.any():
             terms(step)  # a reward that cannot be used is better found now than after the last episode
-        for item in fields(Transition):
-            getattr(kept, item.name)[world.episode, world.steps] = getattr(step, item.name)
+        _write(kept, world, vars(step), count)
+        _write(notes, world, noted, count)
         world = advance(world, moves, action)
         position[world.episode, world.steps] = world.position
         velocity[world.episode, world.steps] = world.velocity
@@ -163,35 +162,66 @@ def play_episodes(
         if ended.any():
             steps[world.episode[ended]] = world.steps[ended]
             progress(int(ended.sum()))
-            fresh = min(int(ended.sum()), count - waiting)
-            world = _refill(whole, world, np.flatnonzero(~ended), np.arange(waiting, waiting + fresh))
-            waiting += fresh
+            fresh = np.arange(waiting, min(waiting + int(ended.sum()), count))
+            world, waiting = _refill(whole, world, ~ended, fresh), waiting + len(fresh)
 
-    steps_taken = int(steps.max(initial=0))
-    kept = kept[:, :steps_taken]
-    rewards = rewards_of(kept, steps, terms)
+    most = int(steps.max(initial=0))
+    played = Transition(**kept)[:, :most]
+    rewards = rewards_of(played, steps, terms)
     first = returns_of(rewards, step_discount(discount, scenes.v_pref[:, 0], simulation))[:, :1].sum(1)
-    position, velocity = position[:, : steps_taken + 1], velocity[:, : steps_taken + 1]
-    return Record(scenes, simulation, steps, position, velocity, kept, rewards, first)
+    notes = {name: array[:, :most] for name, array in notes.items()}
+    position, velocity = position[:, : most + 1], velocity[:, : most + 1]
+    return Record(scenes, simulation, steps, position, velocity, played, rewards, first, notes)
 
 
-def _choice(policy: Policy, world: World, moves: np.ndarray) -> np.ndarray:
-    """The policy's actions (E, 2) in m/s; raises ConfigError where it returns anything else, or changes the world."""
-    name = f"policy {name_of(policy)}"
+def _begin(scenes: Scenes, policy: Policy, simulation: Simulation) -> World:
+    """Prepare the policy and return the world at the start; raises MemoryError if the record would be too large."""
+    count, rows = scenes.start.shape[:2]
+    needed = 8 * count * simulation.longest * (5 * rows + 7)  # bytes of all that is recorded
+    if needed > memory_size():
+        raise MemoryError(f"{count} episodes of up to {simulation.longest} steps need {needed / 1e9:.1f} GB")
+    if begin := getattr(policy, "begin", None):
+        begin(scenes, simulation)
+    return reset(scenes, simulation)
+
+
+def _choice(policy: Policy, world: World, moves: np.ndarray, keep: bool) -> tuple[np.ndarray, Notes]:
+    """The policy's actions (E, 2) in m/s, and its notes if `keep`.
+
+    Raises ConfigError where the policy returns anything else, or changes the world.
+    """
+    name, notes = f"policy {name_of(policy)}", {}
     try:
-        given = policy(read_only(world), read_only(moves))
+        given = read_only(world), read_only(moves)
+        returned, notes = explained(policy, *given) if keep else (policy(*given), {})
     except (ValueError, AttributeError, TypeError) as error:
         if not is_write(error) and takes_two(policy):
             raise
         raise fault(name, policy, error, "(world, crowd_velocity)") from error
-    action = checked_array(name, policy, given, (len(world), 2), "a velocity (x, y) in m/s for each episode")
+    action = checked_array(name, policy, returned, (len(world), 2), "a velocity (x, y) in m/s for each episode")
     speed, v_pref = length(action), world.v_pref[:, 0]
     if (speed > v_pref + TOLERANCE).any():
         e = int((speed - v_pref).argmax())
         raise ConfigError(
             f"{name} returned a velocity of {speed[e]:.4g} m/s; it must return none above v_pref, {v_pref[e]:.4g} m/s"
         )
-    return action
+    return action, notes
+
+
+def _write(arrays: dict[str, np.ndarray], world: World, parts: dict[str, np.ndarray], count: int) -> None:
+    """Write a step's `parts` (e, ...) into `arrays` (E, T, ...), by name; those still missing are made, of NaN or 0."""
+    for name, part in parts.items():
+        if name not in arrays:
+            empty = np.nan if part.dtype.kind == "f" else 0  # 0 is RUNNING, too
+            arrays[name] = np.full((count, world.simulation.longest, *part.shape[1:]), empty, part.dtype)
+        arrays[name][world.episode, world.steps] = part
+
+
+def _refill(whole: World, world: World, going: np.ndarray, fresh: np.ndarray) -> World:
+    """The world of the episodes that are `going` on (a mask), and of `fresh` ones (an index array) at their start."""
+    changing = ("position", "velocity", "steps")
+    joined = {name: np.concatenate((getattr(world, name)[going], getattr(whole, name)[fresh])) for name in changing}
+    return replace(whole.take(np.concatenate((world.episode[going], fresh))), **joined)
 
 
 def memory_size() -> float:
@@ -227,23 +257,3 @@ def returns_of(rewards: np.ndarray, step_discount: np.ndarray, guess: np.ndarray
         if guess is not None:
             later = np.where(np.isnan(guess[:, t]), later, guess[:, t])
     return returns
-
-
-def _refill(whole: World, world: World, going: np.ndarray, fresh: np.ndarray) -> World:
-    """The world of the episodes still going on, joined by `fresh` ones from their start."""
-    episode = np.concatenate((world.episode[going], fresh))
-    start = whole.take(episode)
-    n = len(going)
-    start.position[:n], start.velocity[:n], start.steps[:n] = (
-        world.position[going],
-        world.velocity[going],
-        world.steps[going],
-    )
-    return start
-
-
-def _empty_transition(count: int, steps: int, elements: int) -> Transition:
-    """A transition of (E, T) arrays to be filled in."""
-    more = {"velocity": (2,), "preferred_velocity": (2,), "separations": (elements,)}
-    arrays = {item.name: np.full((count, steps, *more.get(item.name, ())), np.nan) for item in fields(Transition)}
-    return Transition(**arrays | {"outcome": np.full((count, steps), RUNNING)})

@@ -8,9 +8,7 @@ from sfmrl.config import EPISODES, Config, Reward, Simulation, in_range
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.intervals import wilson
 from sfmrl.lookahead import Policy
-from sfmrl.planner import solvable
 from sfmrl.policies import find_policy
-from sfmrl.recovery import RecoveringPolicy
 from sfmrl.rewards import OwnReward, as_reward
 from sfmrl.runs.progress import Progress, no_progress
 from sfmrl.scenes import sample_scenes
@@ -62,9 +60,11 @@ def metrics(record: Record, policy: Policy | None = None) -> dict[str, Any]:
     `failures` are the episodes that did not succeed, and whether their squares leave a way to the goal. Of a `policy`
     with recovery that has just played them, `recovered` is the rate of episodes in which it was stuck.
     """
+    from sfmrl.recovery import RecoveringPolicy, solvable
+
     result = _summary(record)
     if isinstance(policy, RecoveringPolicy):
-        result["recovered"] = float(policy.helped[: len(record.steps)].mean())
+        result["recovered"] = float(policy.helped.mean())
     names = np.unique(record.scenes.environment)
     if len(names) > 1:
         result["environments"] = {str(n): _summary(record.take(record.scenes.environment == n)) for n in names}

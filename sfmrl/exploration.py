@@ -10,13 +10,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sfmrl.actions import ACTIONS
 from sfmrl.config import Config, Reinforcement
-from sfmrl.crowd import World
 from sfmrl.episodes import Record, play_episodes, returns_of
 from sfmrl.learning import Learner
-from sfmrl.lookahead import SarlPolicy, step_discount
+from sfmrl.lookahead import ACTIONS, SarlPolicy, step_discount
 from sfmrl.scenes import generator, sample_scenes, thinned
+from sfmrl.world import World
 
 Explored = tuple[Record, np.ndarray]
 

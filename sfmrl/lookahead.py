@@ -5,24 +5,54 @@ of the crowd serves all 81.
 """
 
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from sfmrl.actions import ACTIONS, best_untrapped
 from sfmrl.config import Config, ConfigError, Simulation
-from sfmrl.crowd import World, transition
 from sfmrl.fast import as_fast
 from sfmrl.rewards import COLLISION, reward_terms, total
 from sfmrl.states import elements_within, is_alone, robot_states
+from sfmrl.traps import best_untrapped
+from sfmrl.world import World, transition
 
 BLOCK = 4  # episodes at most that are looked at together, so that what is computed stays in the processor's cache
 
-# (world, crowd_velocity) -> the robot's actions (E, 2) in m/s; `crowd_velocity` (E, N, 2) is what the people are about
-# to do.
-Policy = Callable[[World, np.ndarray], np.ndarray]
+
+def _actions() -> np.ndarray:
+    """CrowdNav's 81 actions as shares of v_pref: stop, then 16 headings with 5 speeds (e^(i/5) - 1) / (e - 1) each."""
+    speeds = (np.exp(np.arange(1, 6) / 5) - 1) / (np.e - 1)
+    headings = np.arange(16) * (2 * np.pi / 16)
+    moves = speeds[None, :, None] * np.stack((np.cos(headings), np.sin(headings)), -1)[:, None]
+    return np.concatenate((np.zeros((1, 2)), moves.reshape(80, 2)))
+
+
+ACTIONS = _actions()
+
+
+Notes = dict[str, np.ndarray]  # what a policy can tell of its choice, arrays (E, ...) by name
+
+
+class Policy(Protocol):
+    """What chooses the robot's actions: a function of (world, crowd_velocity), or an object that is called like one.
+
+    An object may have more, which is used where it is there:
+    begin(scenes, simulation): called before the first step of every play, to prepare for its episodes
+    explain(world, crowd_velocity): the call's actions and `Notes` on them, for records that keep these
+    batch: how many episodes to play side by side
+    config: the `Config` that it was trained with, for the default settings of tests
+    """
+
+    def __call__(self, world: World, crowd_velocity: np.ndarray) -> np.ndarray:
+        """Return the robots' velocities (E, 2) in m/s; the people are about to move with `crowd_velocity` (E, N, 2)."""
+
+
+def explained(policy: Policy, world: World, crowd_velocity: np.ndarray) -> tuple[np.ndarray, Notes]:
+    """A policy's actions (E, 2) in m/s and its notes on them; none from a policy that takes no notes."""
+    explain = getattr(policy, "explain", None)
+    return explain(world, crowd_velocity) if explain else (policy(world, crowd_velocity), {})
 
 
 @dataclass(frozen=True)
@@ -32,6 +62,11 @@ class Lookahead:
     actions: np.ndarray
     values: np.ndarray
     best: np.ndarray
+
+    @property
+    def action(self) -> np.ndarray:
+        """The best actions, (E, 2) m/s."""
+        return self.actions[np.arange(len(self.best)), self.best]
 
 
 class SarlPolicy:
@@ -51,8 +86,12 @@ class SarlPolicy:
         self._pool = ThreadPoolExecutor(threads)
 
     def __call__(self, world: World, crowd_velocity: np.ndarray) -> np.ndarray:
+        return self.lookahead(world, crowd_velocity).action
+
+    def explain(self, world: World, crowd_velocity: np.ndarray) -> tuple[np.ndarray, Notes]:
+        """The actions and, as notes, the arrays of the `Lookahead` from which they were chosen."""
         look = self.lookahead(world, crowd_velocity)
-        return look.actions[np.arange(len(world)), look.best]
+        return look.action, vars(look)
 
     def lookahead(self, world: World, crowd_velocity: np.ndarray) -> Lookahead:
         """Values of all actions in every episode of the world."""
@@ -89,7 +128,7 @@ class SarlPolicy:
         reward = total(self._terms(step))
         dt = world.simulation.time_step
         states = robot_states(
-            world.position[:, :1] + action * dt,
+            world.ahead(action),
             action,
             world.goal[:, :1],
             world.radius[:, :1],

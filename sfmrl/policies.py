@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 
 from sfmrl.config import ConfigError
-from sfmrl.crowd import World, orca_crowd, sfm_crowd
 from sfmrl.geometry import direction
 from sfmrl.lookahead import Policy, SarlPolicy, available_cores
 from sfmrl.own_code import kind, trusted
-from sfmrl.recovery import with_recovery
+from sfmrl.world import World, orca_crowd, sfm_crowd
 
 
 def linear_policy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
@@ -56,6 +55,7 @@ def load_policy(name_or_path: str | Path, threads: int | None = None, *, trust_r
     """
     if str(name_or_path) in POLICIES:
         return POLICIES[str(name_or_path)]
+    from sfmrl.recovery import with_recovery
     from sfmrl.runs.weights import find_weights, load_weights
 
     network, config = load_weights(find_weights(name_or_path))

@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from sfmrl.batch import Batch
 from sfmrl.config import ConfigError, Reward, suggest
 from sfmrl.geometry import length
 from sfmrl.own_code import checked_array, fault, kind, load, name_of, read_only
@@ -19,7 +20,7 @@ OUTCOMES = np.array(["running", "success", "collision", "timeout"])
 
 
 @dataclass(frozen=True)
-class Transition:
+class Transition(Batch):
     """What a reward is given: one step of the robot, with any leading axes (...), as (E,), (E, A) or (E, T).
 
     time (...): s, at the end of the step

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from sfmrl.batch import Batch
 from sfmrl.config import ConfigError, in_range, suggest
 from sfmrl.geometry import vectors
 from sfmrl.variants import MIXES
@@ -47,7 +48,7 @@ MIDDLE = 1.5  # m: a group's centre is at most this far from the middle in x and
 
 
 @dataclass(frozen=True)
-class Scenes:
+class Scenes(Batch):
     """Episodes yet to be played: E of them, N rows each, row 0 the robot.
 
     `start` and `goal` (E, N, 2) in m; `radius` in m and `v_pref` in m/s, (E, N) or anything that broadcasts to it.
@@ -91,10 +92,6 @@ class Scenes:
 
     def __len__(self) -> int:
         return len(self.start)
-
-    def take(self, rows: np.ndarray | slice) -> "Scenes":
-        """The scenes of some episodes: an index array, a mask or a slice."""
-        return Scenes(*(getattr(self, item.name)[rows] for item in fields(self)))
 
     @property
     def polygons(self) -> np.ndarray:

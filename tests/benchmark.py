@@ -19,10 +19,8 @@ import pyrvo
 import torch
 from rich.console import Console
 
-from sfmrl import crowd, episodes
-from sfmrl.actions import ACTIONS
+from sfmrl import episodes
 from sfmrl.config import Config, Reward, Simulation
-from sfmrl.crowd import CROWDS
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.evaluation import evaluation_record
 from sfmrl.exploration import remember
@@ -30,16 +28,17 @@ from sfmrl.fast import as_fast, kernels
 from sfmrl.fast.explorer import Explorer
 from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
 from sfmrl.learning import OPTIMIZERS, Learner, learn
-from sfmrl.lookahead import SarlPolicy, available_cores
+from sfmrl.lookahead import ACTIONS, SarlPolicy, available_cores
 from sfmrl.network import ValueNetwork
-from sfmrl.planner import plan
 from sfmrl.policies import orca_policy
 from sfmrl.recovery import RecoveringPolicy
+from sfmrl.recovery.planner import plan
 from sfmrl.runs.create import create_run, start_run
 from sfmrl.runs.progress import StopSignal, no_progress
 from sfmrl.runs.training import run_imitation, run_reinforcement
 from sfmrl.scenes import BARRIER, Scenes, sample_scenes
 from sfmrl.variants import make_config
+from sfmrl.world import CROWDS, advance, crowd_velocities, reset
 
 console = Console(highlight=False, soft_wrap=True)
 SCENES = ("10 humans", "10 humans, barrier", "5 humans, barrier")
@@ -225,11 +224,11 @@ def gemm_peak() -> float:
 
 def lookahead_seconds(threads: int) -> float:
     """Seconds a state of weighing up all actions in 32 episodes, all but the crowd's own step included."""
-    world = crowd.reset(sample_scenes("circle", 32))
+    world = reset(sample_scenes("circle", 32))
     for _ in range(8):
-        moves = crowd.crowd_velocities(world)
-        world = crowd.advance(world, moves, moves[:, 0])
-    moves = crowd.crowd_velocities(world)
+        moves = crowd_velocities(world)
+        world = advance(world, moves, moves[:, 0])
+    moves = crowd_velocities(world)
     policy = SarlPolicy(ValueNetwork(), make_config("paper"), threads)
     return fastest(lambda: policy.lookahead(world, moves), 10) / (32 * len(ACTIONS))
 

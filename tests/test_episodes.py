@@ -8,15 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sfmrl.actions import ACTIONS
 from sfmrl.config import Config, ConfigError, Reward, Simulation
-from sfmrl.crowd import reset
 from sfmrl.episodes import Record, play, play_episodes, returns_of
-from sfmrl.lookahead import SarlPolicy
+from sfmrl.lookahead import ACTIONS, SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import load_policy
 from sfmrl.scenes import Scenes, sample_scenes
 from sfmrl.states import robot_states
+from sfmrl.world import reset
 
 
 def still(world, crowd_velocity):
@@ -117,17 +116,6 @@ def test_a_network_finds_its_way_alone_as_among_absent_people():
     np.testing.assert_array_equal(alone.position[:, :, 0], absent.position[:, :, 0])
     np.testing.assert_array_equal(alone.reward, absent.reward)
     assert np.ptp(policy.lookahead(reset(empty), np.zeros((1, 1, 2))).values) > 1e-3
-
-
-def test_the_81_actions_are_crowdnav_s_up_to_their_order():
-    speeds = (np.exp(np.arange(1, 6) / 5) - 1) / (math.e - 1)
-    expected = {(0.0, 0.0)} | {
-        (round(s * math.cos(k * math.pi / 8), 9) + 0.0, round(s * math.sin(k * math.pi / 8), 9) + 0.0)
-        for s in speeds
-        for k in range(16)
-    }
-    assert {(round(x, 9) + 0.0, round(y, 9) + 0.0) for x, y in ACTIONS.tolist()} == expected
-    assert len(ACTIONS) == 81
 
 
 @given(st.integers(0, 1000), st.floats(0, 1))

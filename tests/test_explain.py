@@ -59,7 +59,7 @@ def test_the_other_rewards_pay_what_the_same_episode_played_under_them_does():
 def test_a_step_s_numbers_are_those_of_the_record_and_of_the_network():
     config = make_config("quick", "sarl-sfm2")
     policy = SarlPolicy(ValueNetwork(value_prior=True, seed=3), config)
-    record = play_episodes(sample_scenes("2", 2), policy, config.reward, config.simulation)
+    record = play_episodes(sample_scenes("2", 2), policy, config.reward, config.simulation, keep=True)
     explained = explain_episode(record, 1, policy, config.reward, config.discount)
     assert len(explained.steps) == record.steps[1]
     worlds = record.take(np.array([1])).worlds()
@@ -81,8 +81,8 @@ def test_a_step_s_numbers_are_those_of_the_record_and_of_the_network():
 
 def test_what_happened_is_told_step_by_step():
     recovering = with_recovery(orca_policy, make_config("quick").planner)
-    record = play_episodes(sample_scenes("2", 12), recovering, Reward(), Config().simulation)
-    stuck = int(np.flatnonzero(recovering.helped[:12])[0])
+    record = play_episodes(sample_scenes("2", 12), recovering, Reward(), Config().simulation, keep=True)
+    stuck = int(np.flatnonzero(recovering.helped)[0])
     events = [row["event"] for row in explain_episode(record, stuck, recovering, Reward(), 0.9).steps]
     assert sum("stuck" in event for event in events) >= 1
     for row in range(12):

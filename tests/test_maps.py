@@ -14,8 +14,8 @@ from sfmrl import draw_map, evaluate, load_map, load_policy, read_map, sample_sc
 from sfmrl.config import Config, ConfigError, Planner
 from sfmrl.maps import why_unsolvable
 from sfmrl.maps.format import parse
-from sfmrl.planner import solvable
 from sfmrl.recovery import with_recovery
+from sfmrl.recovery.planner import solvable
 from sfmrl.runs.create import start_run
 from sfmrl.runs.folders import finished
 from sfmrl.runs.progress import Interrupted, StopSignal, no_progress

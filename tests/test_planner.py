@@ -6,13 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from sfmrl import planner as planner_module
 from sfmrl.config import ConfigError, Planner, Simulation
-from sfmrl.crowd import reset
 from sfmrl.episodes import play
-from sfmrl.planner import plan, solvable
 from sfmrl.policies import orca_policy
 from sfmrl.recovery import RecoveringPolicy
+from sfmrl.recovery import planner as planner_module
+from sfmrl.recovery.planner import plan, solvable
 from sfmrl.scenes import Scenes, sample_scenes
 
 
@@ -140,7 +139,7 @@ def test_a_grid_of_too_many_cells_is_one_clear_error():
     with pytest.raises(ConfigError, match=r"cells, too many; choose nearer goals, .* or play without recovery"):
         plan(scenes, Planner())
     with pytest.raises(ConfigError, match="too many"):
-        reset(scenes, Simulation(time_limit=3600), Planner())
+        RecoveringPolicy(orca_policy, Planner(recover=True)).begin(scenes, Simulation(time_limit=3600))
 
 
 def test_an_episode_ends_that_recovery_helps_on_its_way_to_a_goal_far_out():

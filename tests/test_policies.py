@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 from conftest import DATA
 
-from sfmrl.actions import ACTIONS, best_untrapped
 from sfmrl.config import Config
-from sfmrl.crowd import World, advance, crowd_velocities, reset, transition
 from sfmrl.episodes import play
-from sfmrl.lookahead import SarlPolicy
+from sfmrl.lookahead import ACTIONS, SarlPolicy
 from sfmrl.network import ValueNetwork
-from sfmrl.rewards import COLLISION, RUNNING
+from sfmrl.rewards import COLLISION
 from sfmrl.scenes import Scenes
+from sfmrl.world import World, crowd_velocities, reset, transition
 
 
 def crowded(episodes: int, seed: int) -> World:
@@ -23,36 +22,6 @@ def crowded(episodes: int, seed: int) -> World:
     world = reset(Scenes(start, start + 3))
     velocity = rng.uniform(-1, 1, world.velocity.shape)
     return World(**{**vars(world), "velocity": velocity})
-
-
-def is_free(world: World, moves: np.ndarray, action: np.ndarray) -> bool:
-    """Whether an action neither collides nor leads where all do, by brute force, for a world of one episode."""
-    if transition(world, action[None]).outcome[0] != RUNNING:
-        return transition(world, action[None]).outcome[0] != COLLISION
-    after = advance(world, moves, action[None])
-    return any(transition(after, following[None]).outcome[0] != COLLISION for following in ACTIONS)
-
-
-def test_the_best_action_that_is_no_trap_is_found_wherever_there_is_one():
-    world = crowded(40, seed=0)
-    moves = np.random.default_rng(1).uniform(-1, 1, world.velocity.shape)
-    values = np.random.default_rng(2).normal(size=(40, 81))
-    actions = np.broadcast_to(ACTIONS, (40, 81, 2))
-    found = best_untrapped(world, moves, actions, values, transition(world, actions).outcome)
-    kept = passed_over = hopeless = 0
-    for e in range(40):
-        one = world.take(np.array([e]))
-        free = [a for a in range(81) if is_free(one, moves[[e]], ACTIONS[a])]
-        best = values[e].argmax()
-        missing = [a for a in range(81) if transition(one, ACTIONS[[a]]).outcome[0] != COLLISION]
-        wanted = max(free or missing or range(81), key=lambda a: values[e, a])
-        assert found[e] == wanted
-        kept += wanted == best
-        passed_over += bool(free) and wanted != best
-        hopeless += not free
-    assert passed_over > 0
-    assert hopeless > 0  # the scenes are tight enough to try all three cases
-    assert kept > 0
 
 
 def test_nothing_follows_a_collision_and_traps_are_avoided_only_when_the_config_says_so():

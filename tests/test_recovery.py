@@ -1,20 +1,16 @@
 """Recovery: dead ends are left, a robot on its way is let alone, and looking out for traps pays."""
 
-from itertools import product
-
 import numpy as np
 import pytest
 
-from sfmrl.actions import ACTIONS, OUTLOOK, best_untrapped, trapped
 from sfmrl.config import Config, Planner, Reward, Simulation
-from sfmrl.crowd import advance, crowd_velocities, reset, transition
 from sfmrl.episodes import play_episodes
 from sfmrl.lookahead import RememberingPolicy, SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import find_policy, linear_policy, orca_policy
 from sfmrl.recovery import RecoveringPolicy, straight_way_is_free, with_recovery
-from sfmrl.rewards import COLLISION
 from sfmrl.scenes import Scenes, sample_scenes
+from sfmrl.world import reset
 
 ON = Planner(recover=True)
 
@@ -45,15 +41,27 @@ def test_stuck_is_who_has_not_come_nearer_within_the_stall_time():
 
     blocked = Scenes([[(0, -4), (0, 0)]], [[(0, 4), (0, 0)]], square=[[False, True]])
     policy = RecoveringPolicy(still, ON)
-    record = play_episodes(blocked, policy, Reward(), Simulation())
+    record = play_episodes(blocked, policy, Reward(), Simulation(), keep=True)
     moved = np.hypot(*record.velocity[0, 1 : record.steps[0] + 1, 0].T) > 0
     assert not moved[:8].any()
     assert moved[8]
     assert policy.helped.all()
-    stuck = policy.watch_all(record.worlds(ON))
-    np.testing.assert_array_equal(stuck, moved)
+    np.testing.assert_array_equal(record.notes["stuck"][0], moved)
     patient = RecoveringPolicy(still, Planner(recover=True, stall_time=30.0))
     assert not np.nan_to_num(play_episodes(blocked, patient, Reward(), Simulation()).velocity).any()
+
+
+def test_keeping_notes_changes_nothing_that_is_played():
+    scenes, simulation = sample_scenes("map-u", 2), Simulation(time_limit=5.0)
+    policy = RecoveringPolicy(SarlPolicy(ValueNetwork(), Config(careful=True)), ON)
+    plain, noted = (play_episodes(scenes, policy, Reward(), simulation, keep=keep) for keep in (False, True))
+    np.testing.assert_array_equal(noted.position, plain.position)
+    assert plain.notes == {}
+    assert noted.notes["values"].shape == (*noted.reward.shape, 81)
+    np.testing.assert_array_equal(noted.notes["stuck"].any(1), policy.helped)
+    one = noted.take([1])
+    look = policy.lookahead(one.worlds(), one.velocity[0, 1 : one.steps[0] + 1])
+    np.testing.assert_array_equal(one.notes["values"][0, : one.steps[0]], look.values)
 
 
 def test_the_straight_way_is_judged_by_the_squares_alone():
@@ -105,72 +113,3 @@ def test_a_test_with_recovery_takes_from_the_one_without_what_both_have_in_commo
     for record, other in zip(play_both(RememberingPolicy(ValueNetwork(), config)), expected, strict=True):
         np.testing.assert_array_equal(record, other)
     assert sum(judged) < 0.9 * states
-
-
-# Traps
-
-
-def squeezed(episodes: int, seed: int):
-    """Worlds with seven people near the robot, who do not see it and come its way, and what they are about to do."""
-    rng = np.random.default_rng(seed)
-    angle, reach = rng.uniform(0, 2 * np.pi, (episodes, 7)), rng.uniform(0.7, 1.8, (episodes, 7))
-    around = reach[..., None] * np.stack((np.cos(angle), np.sin(angle)), -1)
-    start = np.concatenate((np.zeros((episodes, 1, 2)), around), axis=1)
-    world = reset(Scenes(start, -4 * start + [3, 0]), Simulation(robot_visible=False))
-    velocity = np.concatenate((np.zeros((episodes, 1, 2)), -around / reach[..., None]), axis=1)
-    velocity += rng.normal(0, 0.3, velocity.shape)
-    world = type(world)(**{**vars(world), "velocity": velocity})
-    return world, crowd_velocities(world)
-
-
-def has_way_out(world, actions: np.ndarray, steps: int) -> bool:
-    """Whether a sequence of so many actions has no collision, by trying them all, for a world of one episode."""
-    for sequence in product(actions, repeat=steps):
-        at = world
-        for action in sequence:
-            if transition(at, action[None]).outcome[0] == COLLISION:
-                break
-            at = advance(at, crowd_velocities(at), action[None])
-        else:
-            return True
-    return False
-
-
-def test_traps_two_steps_deep_are_those_that_trying_everything_finds():
-    world, _ = squeezed(60, seed=0)
-    few = ACTIONS[OUTLOOK[::4]]
-    found = {steps: trapped(world, np.broadcast_to(few, (60, *few.shape)), steps) for steps in (1, 2)}
-    for e in range(60):
-        one = world.take(np.array([e]))
-        for steps in (1, 2):
-            assert found[steps][e] == (not has_way_out(one, few, steps))
-    assert 0 < found[1].sum() < found[2].sum() < 60
-
-
-def test_traps_three_steps_deep_are_found_where_squares_hold_people_up():
-    world, few = reset(sample_scenes("4", 80, seed=5), Simulation(robot_visible=False)), ACTIONS[[0, 5, 45]]
-    for _ in range(12):
-        world = advance(world, crowd_velocities(world), world.preferred_velocity[:, 0])
-    two, three = (trapped(world, np.broadcast_to(few, (80, *few.shape)), steps) for steps in (2, 3))
-    for e in range(80):
-        assert three[e] == (not has_way_out(world.take(np.array([e])), few, 3))
-    assert 0 < two.sum() < three.sum() < 80
-
-
-def test_the_longer_outlook_takes_the_best_action_that_leaves_a_way_out():
-    world, moves = squeezed(60, seed=1)
-    values = np.random.default_rng(2).normal(size=(60, 81))
-    actions = np.broadcast_to(ACTIONS, (60, 81, 2))
-    outcome = transition(world, actions).outcome
-    values = np.where(outcome == COLLISION, -10.0, values)
-    near, far = (best_untrapped(world, moves, actions, values, outcome, steps) for steps in (1, 2))
-    changed = np.flatnonzero(near != far)
-    assert len(changed)
-    for e in changed:
-        one, after = world.take(np.array([e])), None
-        ranked = [a for a in np.argsort(-values[e], kind="stable") if outcome[e, a] != COLLISION]
-        for a in ranked:
-            after = advance(one, moves[[e]], ACTIONS[[a]])
-            if has_way_out(after, ACTIONS[OUTLOOK], 2):
-                break
-        assert far[e] == a

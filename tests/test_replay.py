@@ -1,6 +1,7 @@
 """Replay frames: they fit, they show what is where, and they say what the record says."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,10 +11,9 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
-from sfmrl.actions import ACTIONS
 from sfmrl.config import Reward, Simulation
-from sfmrl.episodes import Record, play
-from sfmrl.lookahead import Lookahead, SarlPolicy
+from sfmrl.episodes import Record, play, play_episodes
+from sfmrl.lookahead import ACTIONS, SarlPolicy
 from sfmrl.policies import linear_policy, orca_policy
 from sfmrl.replay.canvas import Canvas, View, fit_view
 from sfmrl.replay.frames import (
@@ -42,13 +42,15 @@ class Eyes:
     def attention(self, world):
         return np.tile(self.shares, (len(world), 1))
 
-    def lookahead(self, world, crowd_velocity):
-        actions = np.tile(ACTIONS, (len(world), 1, 1))
-        return Lookahead(actions, actions[..., 0], actions[..., 0].argmax(1))
+    def notes(self, steps):
+        actions = np.tile(ACTIONS, (1, steps, 1, 1))
+        return {"actions": actions, "values": actions[..., 0], "best": actions[..., 0].argmax(2)}
 
 
 def frames_of(record, policy=None, *, label="", reward=Reward(), width=80, height=24, ascii_only=False):
     """All frames of a record's first episode, as `policy` sees it."""
+    if isinstance(policy, Eyes):
+        record = replace(record, notes=policy.notes(record.steps[0]))
     story = make_story(record, 0, policy, reward, 0.9)
     return Replay((story,), (label,), ascii_only).frames(width, height)
 
@@ -110,8 +112,9 @@ def played():
     """An episode of environment 2 that an untrained SARL has played, and its policy."""
     from sfmrl.network import ValueNetwork
 
-    policy = SarlPolicy(ValueNetwork(forces=True, value_prior=True), make_config("quick", "sarl-sfm6"))
-    return play(sample_scenes("2", [2]), policy, reward=policy.config.reward), policy
+    config = make_config("quick", "sarl-sfm6")
+    policy = SarlPolicy(ValueNetwork(forces=True, value_prior=True), config)
+    return play_episodes(sample_scenes("2", [2]), policy, config.reward, Simulation(), keep=True), policy
 
 
 @pytest.mark.parametrize("ascii_only", [False, True])
@@ -448,12 +451,12 @@ def test_a_stretch_that_recovery_led_is_marked_and_told():
     from sfmrl.recovery import RecoveringPolicy
 
     policy = RecoveringPolicy(orca_policy, Planner(recover=True))
-    record = play(sample_scenes("map-u", [0]), policy)
+    record = play_episodes(sample_scenes("map-u", [0]), policy, Reward(), Simulation(), keep=True)
     frames = frames_of(record, policy=policy)
     told = [frame for frame in frames if "stuck: led around the squares" in frame.plain]
     line = frames[-1].plain.split("\n")[-2]
     assert "~" in line
-    assert "~" not in frames_of(record)[-1].plain.split("\n")[-2]
+    assert "~" not in frames_of(replace(record, notes={}))[-1].plain.split("\n")[-2]
     assert f"stuck for {len(told) * 0.25:.2f} s" in frames[-1].plain
     for frame in frames:
         assert_fits(frame.plain, 80, 24)

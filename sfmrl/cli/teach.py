@@ -49,7 +49,7 @@ def explain(
     chosen, name, config = choose(policy, settings, threads, trust_reward)
     environment = config.reinforcement.test_environment if environment is None else environment
     scene = sample_scenes(environment, [episode], seed)
-    record = play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount)
+    record = play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount, keep=True)
     explained = explain_episode(record, 0, chosen, config.reward, config.discount)
     shown = chosen_steps(explained.steps, every, steps)
     if csv:

@@ -145,7 +145,7 @@ def _play(
     how = (config.reward, config.simulation)
     stories = []
     for policy, _, _ in policies:
-        record = play_episodes(scene, policy, *how, discount=config.discount)
+        record = play_episodes(scene, policy, *how, discount=config.discount, keep=True)
         stories.append(make_story(record, 0, policy, config.reward, config.discount))
     labels = [Path(name).name for _, name, _ in policies]
     if len(set(labels)) < len(labels):  # runs of one name in two folders

@@ -6,7 +6,7 @@ import numpy as np
 
 from sfmrl.config import ConfigError, Planner
 from sfmrl.maps.format import CELL, GOALS, MOST_PLACES, PEOPLE, Drawing, parse
-from sfmrl.planner import UNREACHABLE, plan
+from sfmrl.recovery.planner import UNREACHABLE, plan
 from sfmrl.scenes import DRAWN, Scenes
 
 LARGEST = 100_000  # bytes of a map's file: far more than a map and its comments need

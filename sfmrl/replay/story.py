@@ -1,20 +1,20 @@
 """One episode as arrays over its moments: all that the replay draws and `sfmrl explain` lists.
 
 An episode of T steps has T + 1 moments; step t leads from moment t to moment t + 1. The reward, separations and events
-of a moment are those of the step that led to it; its action values are those of the step that starts there.
+of a moment are those of the step that led to it; its action values are those of the step that starts there, as the
+policy noted them in play. Attention is computed here, for all moments at once, since the last has it too.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sfmrl.config import Planner, Reward
-from sfmrl.crowd import World, reset
+from sfmrl.config import Reward
 from sfmrl.episodes import Record
 from sfmrl.lookahead import Lookahead, Policy, step_discount
-from sfmrl.recovery import RecoveringPolicy
 from sfmrl.rewards import RUNNING, reward_terms, total
 from sfmrl.sfm import repulsive_forces
+from sfmrl.world import World, reset
 
 ELEMENT_GLYPHS = "123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
@@ -73,16 +73,17 @@ def scene_name(environment: str, episode: int) -> str:
 def make_story(record: Record, row: int, policy: Policy, reward: Reward, discount: float) -> Story:
     """The story of the episode in one row of a record that `policy` played, judged by `reward`.
 
+    Attention, values and where the robot was stuck are there if the record has notes (`play_episodes(keep=True)`).
     `discount` is per second at 1 m/s; the returns are discounted with it.
     """
     record = record.take(np.array([row]))
     scenes, steps = record.scenes, int(record.steps[0])
-    moments = _moments(record, getattr(policy, "planner", None))
+    moments = _moments(record)
     step = record.transition[0, :steps]
     terms = reward_terms(reward)(step)
     factors = step_discount(discount, scenes.v_pref[0, 0], record.simulation) ** np.arange(steps)
     close = (step.outcome == RUNNING) & (step.separation < reward.discomfort_distance)
-    attention, look, stuck = _choices(policy, moments)
+    look, stuck = _noted(record)
     return Story(
         name=scene_name(scenes.environment[0], scenes.episode[0]),
         time=moments.time,
@@ -101,30 +102,26 @@ def make_story(record: Record, row: int, policy: Policy, reward: Reward, discoun
         outcome=str(record.outcome[0]),
         goal_distance=float(step.goal_distance[-1]),
         close=_stretches(np.concatenate(([False], close))),
-        attention=attention,
+        attention=policy.attention(moments) if look else None,
         look=look,
         stuck=stuck,
     )
 
 
-def _moments(record: Record, planner: Planner | None) -> World:
-    """The world at each of the T + 1 moments of a record of one episode; with geodesics if there is a planner."""
+def _moments(record: Record) -> World:
+    """The world at each of the T + 1 moments of a record of one episode."""
     steps = np.arange(record.steps[0] + 1)
-    start = reset(record.scenes, record.simulation, planner).take(np.zeros_like(steps))
+    start = reset(record.scenes, record.simulation).take(np.zeros_like(steps))
     return replace(start, position=record.position[0, steps], velocity=record.velocity[0, steps], steps=steps)
 
 
-def _choices(policy: Policy, moments: World) -> tuple[np.ndarray | None, Lookahead | None, np.ndarray]:
-    """Compute anew what `policy` weighed up as it played: attention (T + 1, K), look, stuck (T,), as in Story."""
-    before = moments.take(np.arange(len(moments) - 1))  # the worlds in which it chose
-    attention = look = None
-    if hasattr(policy, "lookahead") and moments.position.shape[1] > 1:
-        look = policy.lookahead(before, moments.velocity[1:])
-        attention = policy.attention(moments)
-    stuck = np.zeros(len(before), dtype=bool)
-    if isinstance(policy, RecoveringPolicy):
-        stuck = policy.watch_all(before)
-    return attention, look, stuck
+def _noted(record: Record) -> tuple[Lookahead | None, np.ndarray]:
+    """What the policy noted in a record of one episode: its lookahead, if anybody was there, and where stuck (T,)."""
+    steps = record.steps[0]
+    notes = {name: array[0, :steps] for name, array in record.notes.items()}
+    looked = "values" in notes and record.position.shape[2] > 1
+    look = Lookahead(notes["actions"], notes["values"], notes["best"]) if looked else None
+    return look, notes.get("stuck", np.zeros(steps, dtype=bool))
 
 
 def _stretches(near: np.ndarray) -> tuple[tuple[int, int], ...]:

@@ -1,26 +1,26 @@
-"""The simulator: a world of E episodes, what its crowd does next, and what a robot's action would lead to.
+"""The simulator: a world of E episodes, what its crowd does next, and what a robot's action leads to.
 
 Pure functions over a frozen `World`. A step is: `crowd_velocities` (which do not depend on the robot's action),
-the policy's choice, `transition` (the one place where outcomes are judged), `advance`. Looking ahead calls the same
-`transition` with every action at once. CrowdNav's conventions hold: the gap to a person is the smallest in the step,
-with the robot moving as it is about to and the person as before the step; a time-out is judged before anything else.
+the policy's choice, `transition` (the one place where outcomes are judged), `advance`. The lookahead calls the same
+`transition` with every action at once. CrowdNav's conventions hold: the gap to a person is the smallest during the
+step, in which the robot moves with its action and the person as before the step; a time-out comes before anything else.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sfmrl.config import CROWD_FORCE, Planner, Simulation
+from sfmrl.batch import Batch
+from sfmrl.config import CROWD_FORCE, Simulation
 from sfmrl.geometry import closest_approach, direction, length, limit, square_gap
 from sfmrl.orca import Edges, orca_velocities, polygon_edges
-from sfmrl.planner import Geodesics, plan
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenes import Scenes
 from sfmrl.sfm import sfm_velocities
 
 
 @dataclass(frozen=True)
-class World:
+class World(Batch):
     """E episodes at one moment, each of N rows: the robot (row 0), people, squares; absent rows are NaN.
 
     position (E, N, 2): m
@@ -33,7 +33,6 @@ class World:
     edges: the squares' outlines, for ORCA
     episode (E,): which row of the scenes each episode is
     simulation: time step, time limit and the crowd's model, a `Simulation`
-    geodesics: ways around squares in all the scenes, None unless a policy plans
     """
 
     position: np.ndarray
@@ -46,7 +45,6 @@ class World:
     edges: Edges
     episode: np.ndarray
     simulation: Simulation
-    geodesics: Geodesics | None = None
 
     def __len__(self) -> int:
         return len(self.position)
@@ -70,17 +68,18 @@ class World:
 
     @property
     def preferred_velocity(self) -> np.ndarray:
-        """Way to the goal of each agent, at most v_pref long (CrowdNav: shorter within reach of it), (E, N, 2) m/s."""
+        """Towards each agent's goal with v_pref, slower (as in CrowdNav) on the last metre or so, (E, N, 2) m/s."""
         return limit(self.goal - self.position, self.v_pref)
 
-    def take(self, rows: np.ndarray) -> "World":
-        """The world of some of the episodes: an index array."""
-        whole = ("edges", "simulation", "geodesics")
-        kept = {f.name: getattr(self, f.name).take(rows, axis=0) for f in fields(self) if f.name not in whole}
-        return World(**kept, edges=self.edges.take(rows), simulation=self.simulation, geodesics=self.geodesics)
+    def ahead(self, action: np.ndarray) -> np.ndarray:
+        """Where the robot will be after a step with `action` (E, 2) or (E, A, 2) in m/s: m, in its shape."""
+        return self.position[:, 0][_axes(action)] + action * self.simulation.time_step
 
-    def among(self, chosen: np.ndarray) -> "World":
-        """The world with the `chosen` elements, (E, N - 1) bool; where others have more, with some besides."""
+    def with_elements(self, chosen: np.ndarray) -> "World":
+        """The world with the `chosen` elements, (E, N - 1) bool, and without most of the others.
+
+        Arrays stay rectangular: episodes in which fewer are chosen keep some of the others as padding.
+        """
         most = int(chosen.sum(1).max(initial=0))
         if most == chosen.shape[1]:
             return self
@@ -89,20 +88,10 @@ class World:
         each = ("position", "velocity", "goal", "radius", "v_pref", "square")
         return replace(self, **{name: getattr(self, name)[rows] for name in each})
 
-    def geodesic_distance(self, position: np.ndarray) -> np.ndarray:
-        """How far it is from positions (E, ..., 2) to the robot's goal around the squares, (E, ...) m.
 
-        Raises ValueError where the world was made without a planner.
-        """
-        if self.geodesics is None:
-            raise ValueError("this world knows no ways around squares; make it with reset(scenes, simulation, planner)")
-        return self.geodesics.at(self.episode, position)
-
-
-def reset(scenes: Scenes, simulation: Simulation = Simulation(), planner: Planner | None = None) -> World:
-    """The world in which all `scenes` stand at their starts, everybody at rest; with geodesics if `planner` asks."""
+def reset(scenes: Scenes, simulation: Simulation = Simulation()) -> World:
+    """The world in which all `scenes` stand at their starts, everybody at rest."""
     velocity = np.where(np.isnan(scenes.start), np.nan, 0.0)
-    reach = simulation.longest * simulation.time_step * scenes.v_pref[:, 0]
     return World(
         position=scenes.start,
         velocity=velocity,
@@ -114,14 +103,13 @@ def reset(scenes: Scenes, simulation: Simulation = Simulation(), planner: Planne
         edges=polygon_edges(scenes.polygons, scenes.start),
         episode=np.arange(len(scenes)),
         simulation=simulation,
-        geodesics=None if planner is None else plan(scenes, planner, reach),
     )
 
 
 def crowd_velocities(world: World) -> np.ndarray:
-    """Velocities of everybody in the coming step, (E, N, 2) m/s; squares rest, absent rows are NaN.
+    """Everybody's velocities in the coming step, (E, N, 2) m/s; squares rest, absent rows are NaN.
 
-    Row 0 is how the crowd's model would move the robot if it were one of them; NaN where the people do not see it.
+    Row 0 is how the crowd's model would move the robot as one of its own; NaN where the people do not see the robot.
     """
     position = world.position
     if not world.simulation.robot_visible:
@@ -173,23 +161,23 @@ CROWDS = {"orca": orca_crowd, "sfm": sfm_crowd}
 
 
 def transition(world: World, action: np.ndarray) -> Transition:
-    """What the step would be in which the robot moves with `action`, (E, 2) or many at once, (E, A, 2), in m/s."""
-    dt, longest = world.simulation.time_step, world.simulation.longest
-    many = (slice(None),) + (None,) * (action.ndim - 2)  # puts the axis of the actions into the world's arrays
-    robot, goal = world.position[:, 0][many], world.goal[:, 0][many]
+    """The step in which the robot moves with `action`, (E, 2) or many at once, (E, A, 2), in m/s."""
+    dt, axes = world.simulation.time_step, _axes(action)
+    robot, goal, steps = world.position[:, 0][axes], world.goal[:, 0][axes], world.steps[axes]
+    radius, v_pref = world.radius[:, 0][axes], world.v_pref[:, 0][axes]
     separations = smallest_gaps(world, action)  # (E, A, K)
-    before, after = length(robot - goal), length(robot + action * dt - goal)
-    late = (world.steps >= longest - 1)[many]
-    hit, there = separations.min(axis=-1, initial=np.inf) < 0, after < world.radius[:, 0][many]
-    outcome = np.where(late, TIMEOUT, np.where(hit, COLLISION, np.where(there, SUCCESS, RUNNING)))
-    preferred = direction(goal - robot) * world.v_pref[:, 0][many][..., None]
+    goal_distance = length(world.ahead(action) - goal)  # (E, A)
+    late, hit = steps >= world.simulation.longest - 1, separations.min(axis=-1, initial=np.inf) < 0
+    arrived = goal_distance < radius
+    outcome = np.where(late, TIMEOUT, np.where(hit, COLLISION, np.where(arrived, SUCCESS, RUNNING)))
+    preferred_velocity = direction(goal - robot) * v_pref[..., None]
     return Transition(
-        time=np.broadcast_to((world.time + dt)[many], outcome.shape),
+        time=np.broadcast_to(steps * dt + dt, outcome.shape),
         time_step=np.broadcast_to(dt, outcome.shape),
         velocity=action,
-        preferred_velocity=np.broadcast_to(preferred, action.shape),
-        goal_distance_before=np.broadcast_to(before, outcome.shape),
-        goal_distance=after,
+        preferred_velocity=np.broadcast_to(preferred_velocity, action.shape),
+        goal_distance_before=np.broadcast_to(length(robot - goal), outcome.shape),
+        goal_distance=goal_distance,
         separations=separations,
         outcome=outcome,
     )
@@ -200,24 +188,25 @@ def smallest_gaps(world: World, action: np.ndarray) -> np.ndarray:
 
     Negative in a collision, +inf to absent elements.
     """
-    many = (slice(None),) + (None,) * (action.ndim - 2)
+    axes = _axes(action)
     # Components first in memory: the same operations then run through long rows.
     position, velocity = (np.ascontiguousarray(part.transpose(2, 0, 1)) for part in (world.position, world.velocity))
-    offset = (position[:, :, 1:] - position[:, :, :1])[:, *many]
-    relative_velocity = velocity[:, :, 1:][:, *many] - action.transpose(-1, *range(action.ndim - 1))[..., None]
-    apart, moving = (part.transpose(*range(1, part.ndim), 0) for part in (offset, relative_velocity))
+    offset = (position[:, :, 1:] - position[:, :, :1])[:, *axes]  # (2, E, 1, K)
+    relative_velocity = velocity[:, :, 1:][:, *axes] - action.transpose(-1, *range(action.ndim - 1))[..., None]
+    apart, moving = (part.transpose(*range(1, part.ndim), 0) for part in (offset, relative_velocity))  # (E, A, K, 2)
     half, radius = world.shape
-    gap = closest_approach(apart, moving, world.simulation.time_step, half[:, 1:][many])
-    return np.fmin(gap - (radius[:, 1:] + radius[:, :1])[many], np.inf)  # where there is nobody, too
+    gap = closest_approach(apart, moving, world.simulation.time_step, half[:, 1:][axes])
+    return np.fmin(gap - (radius[:, 1:] + radius[:, :1])[axes], np.inf)  # NaN, to absent elements, becomes +inf
 
 
 def advance(world: World, velocity: np.ndarray, action: np.ndarray) -> World:
     """The world after a step with everybody's `velocity` (E, N, 2) and, for the robot, `action` (E, 2), in m/s."""
-    moved = velocity.copy()
-    moved[:, 0] = action
-    changed = {
-        "position": world.position + moved * world.simulation.time_step,
-        "velocity": moved,
-        "steps": world.steps + 1,
-    }
-    return World(**{**vars(world), **changed})
+    velocity = velocity.copy()
+    velocity[:, 0] = action
+    position = world.position + velocity * world.simulation.time_step
+    return replace(world, position=position, velocity=velocity, steps=world.steps + 1)
+
+
+def _axes(action: np.ndarray) -> tuple:
+    """The index that puts an axis for the actions into a world's array (E, ...), if there are many, (E, A, 2)."""
+    return slice(None), *(None,) * (action.ndim - 2)

@@ -2,10 +2,10 @@
 
 A cell's distance is the length of the shortest path over the grid, whose steps go in 24 directions, so that none is
 more than 1.4 % too long. Sweeps over the rows and columns, to and fro, find it; they end when nothing changes any more
-(the order of fast sweeping: Zhao, 2005). Cells in which the robot would all but touch a square count as very long,
-those within `inflation` of it as longer, so every place has a distance, also one where the robot had better not be.
-Left out are people, who will have moved on, and what the robot cannot reach: squares far from its start do not count,
-and the way to a goal beyond its reach leads around squares to the point where the straight line there leaves its reach.
+(the order of fast sweeping: Zhao, 2005). Cells in which the robot would touch a square count 10,000 times their length,
+cells within `inflation` of one 10 times, so every place has a finite distance, even inside a square. People are left
+out, since they will have moved on, and so is what the robot cannot reach: squares far from its start are ignored, and
+the path to a goal beyond its reach leads around squares to the point where the straight line there leaves its reach.
 """
 
 import math

@@ -9,14 +9,14 @@ from conftest import DATA
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sfmrl.actions import ACTIONS
 from sfmrl.config import Reward, Simulation
-from sfmrl.crowd import World, advance, crowd_velocities, reset, transition
 from sfmrl.episodes import Record, play, play_episodes
 from sfmrl.geometry import length
+from sfmrl.lookahead import ACTIONS
 from sfmrl.policies import orca_policy
 from sfmrl.rewards import COLLISION, OUTCOMES, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenes import Scenes, sample_scenes
+from sfmrl.world import World, advance, crowd_velocities, reset, transition
 
 FILES = ("5_visible", "5_invisible", "10_visible", "10_invisible")
 

@@ -1,0 +1,23 @@
+"""What scenes, worlds, transitions and records have in common: arrays whose leading axis is the episode."""
+
+from typing import Any, Self
+
+import numpy as np
+
+
+class Batch:
+    """A dataclass of arrays (E, ...), of parts that hold such arrays, and of settings that all episodes share."""
+
+    def take(self, rows: np.ndarray | slice) -> Self:
+        """The same for some of the episodes: an index array, a mask or a slice."""
+        parts = vars(self)
+        index = np.arange(len(next(iter(parts.values()))))[rows]
+        return type(self)(**{name: _taken(part, index) for name, part in parts.items()})
+
+
+def _taken(part: Any, index: np.ndarray) -> Any:
+    if isinstance(part, np.ndarray):
+        return part.take(index, axis=0)  # two to three times as fast as part[index]
+    if isinstance(part, dict):
+        return {name: _taken(array, index) for name, array in part.items()}
+    return part.take(index) if hasattr(part, "take") else part
