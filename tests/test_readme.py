@@ -35,3 +35,13 @@ def test_every_command_and_flag_it_names_exists(sfmrl):
         for flag in (word for word in words if word.startswith("--")):
             assert flag in helps[words[1]], line
     assert {line.split()[1] for line in named} == set(helps)
+
+
+def test_the_table_of_the_code_names_every_core_file_and_about_how_long_it_is():
+    listed = re.findall(r"^\| \[`(\w+)\.py`\]\(sfmrl/\w+\.py\) \| (\d+) \|", README, flags=re.MULTILINE)
+    core = {
+        path.stem: len(path.read_text(encoding="utf-8").splitlines()) for path in (ROOT / "sfmrl").glob("[a-z]*.py")
+    }
+    assert dict(listed).keys() == core.keys()
+    for name, lines in listed:
+        assert abs(int(lines) - core[name]) <= max(5, core[name] / 10), name
