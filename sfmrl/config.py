@@ -250,16 +250,14 @@ class Config(_Checked):
             changes = json_object(text)
         except ValueError as error:
             raise ConfigError(str(error)) from None
-        for name, neutral in RETIRED.items():
-            value = changes.pop(name, neutral[0])
-            if value not in neutral:
-                raise ConfigError(f"it was made by sfmrl 0.1.0 with {name} {value!r}; play it with that version")
+        if set(RETIRED) & set(changes):
+            raise ConfigError("it was made by version 0.1 or 0.2 of sfmrl; install that version to play it")
         config = override(Config(), changes)
         return override(config, {"reward": {"reward": Untrusted(config.reward.reward)}})
 
 
-# Settings of earlier versions that are gone, and the values under which their files still mean the same.
-RETIRED = {"shaping": ("none",), "precision": ("fp32", "bf16", "auto")}
+# Settings that only files of earlier versions have; their networks were trained among squares that are discs.
+RETIRED = ("shaping", "precision", "collision_ends", "avoid_traps")
 
 
 def override(config: Any, changes: Mapping[str, Any]) -> Any:

@@ -13,8 +13,8 @@ def test_a_config_comes_back_from_its_json():
     assert Config.from_json(config.to_json()) == config
 
 
-def test_a_retired_setting_is_passed_over_at_the_value_that_changed_nothing_and_refused_at_another():
-    older = json.loads(Config().to_json()) | {"shaping": "none"}
-    assert Config.from_json(json.dumps(older)) == Config()
-    with pytest.raises(ConfigError, match=r"sfmrl 0.1.0 with shaping 'geodesic'; play it with that version"):
-        Config.from_json(json.dumps(older | {"shaping": "geodesic"}))
+@pytest.mark.parametrize("setting", [{"shaping": "none"}, {"avoid_traps": True}])
+def test_a_config_of_an_earlier_version_is_refused_with_the_version_that_plays_it(setting):
+    older = json.loads(Config().to_json()) | setting
+    with pytest.raises(ConfigError, match=r"made by version 0.1 or 0.2 of sfmrl; install that version"):
+        Config.from_json(json.dumps(older))

@@ -30,7 +30,6 @@ from sfmrl.runs.files import (
 from sfmrl.runs.folders import (
     CHECKPOINT,
     KINDS,
-    OLD,
     RUNS,
     TABLES,
     WEIGHTS,
@@ -149,9 +148,7 @@ def open_run(folder: Path, kind: str | None = None) -> Run:
     facts = _read_facts(folder / "run.json")
     version = str(facts["versions"].get("sfmrl"))
     if version.startswith(OLDER):
-        raise ConfigError(
-            f"{folder} was made by sfmrl {version}; this version only plays its {OLD[0]}, install that one"
-        )
+        raise ConfigError(f"{folder} was made by sfmrl {version}; install that version to play it or go on with it")
     try:
         config = Config.from_json(read_checked(folder / "config.json"))
     except ConfigError as error:
