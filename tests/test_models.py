@@ -6,6 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
+from sfmrl.episodes import play
 from sfmrl.evaluation import evaluation_record
 from sfmrl.intervals import wilson
 from sfmrl.policies import load_policy
@@ -13,6 +14,7 @@ from sfmrl.runs import weights
 from sfmrl.runs.bits import machine_bits
 from sfmrl.runs.files import DamagedFile
 from sfmrl.runs.weights import load_weights, model_card, model_names, model_weights
+from sfmrl.scenes import Scenes
 from sfmrl.study.tables import TABLES
 from sfmrl.variants import make_config, variant_name
 
@@ -51,6 +53,31 @@ def test_a_model_does_on_100_episodes_what_its_card_says(name):
     allowed = 0 if card.get("bits") == machine_bits() else 3  # older cards do not name any bits
     assert sum(a != b for a, b in zip(outcomes, card["outcomes"], strict=True)) <= allowed
     assert np.mean(record.outcome == "success") >= 0.95
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_model_goes_straight_in_an_empty_field(name):
+    """Eight headings, goals 4, 8 and 12 m away, alone or with somebody 30 m off."""
+    angle, distance = np.meshgrid(np.arange(8) * np.pi / 4, [4.0, 8.0, 12.0])
+    goal = np.zeros((24, 2, 2))
+    goal[:, 0] = (distance * np.stack((np.cos(angle), np.sin(angle)))).reshape(2, 24).T
+    start = np.zeros((24, 2, 2))
+    start[:, 1] = goal[:, 1] = np.where(np.arange(24)[:, None] % 2, (30.0, 0.0), np.nan)
+    record = play(Scenes(start, goal, v_pref=(1.0, 0.0)), load_policy(name).original)
+    assert (record.outcome == "success").all()
+    assert (record.time <= 1.15 * np.ceil((distance.ravel() - 0.3) / 0.25) * 0.25).all()
+
+
+@pytest.mark.parametrize("name", ["sarl", "sarl-sfm6"])
+def test_a_model_passes_one_to_three_people_anywhere(name):
+    rng = np.random.default_rng(5)
+    start, goal = rng.uniform(-12, 12, (2, 100, 4, 2))
+    start[:, 0], goal[:, 0] = (0, -4), (0, 4)
+    start[np.arange(4) > rng.integers(1, 4, size=(100, 1))] = np.nan
+    crowded = (np.hypot(*(start[:, :1] - start[:, 1:]).T) < 0.8).any(0)  # at the start, where nobody could help it
+    start[crowded, 1:] = np.nan
+    outcome = play(Scenes(start, goal), load_policy(name)).outcome
+    assert (outcome == "success").mean() >= 0.98
 
 
 def test_a_changed_model_is_refused(tmp_path, monkeypatch):
