@@ -11,10 +11,10 @@ The paper adds one half-plane after the other. Here all programs take the same t
 3. the best permitted velocity on each line violated by it. One of them is the optimum, for the way from the optimum to
    any velocity that is best under fewer constraints leads out of one of the half-planes that hold the optimum.
 
-Where no velocity is permitted, the greatest violation of the soft half-planes is minimised. At that optimum, one of
-them, the carrier, is violated most. Where it is violated most is again a set of half-planes, bounded by its bisectors
-with the others; within them, the same steps minimise the carrier's own violation. They take the second step twice,
-since many half-planes are violated then. Every velocity violates at least one carrier.
+Where no velocity fits, the greatest violation of the soft half-planes is minimised. One of them, the carrier, is
+violated most at that optimum, and being so is again a set of half-planes, those of its bisectors with the others: the
+carrier's own violation is minimised in it by the same steps, the second taken twice, since many half-planes are
+violated then. Every velocity violates at least one carrier.
 
 Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, sections 5.2 and 5.3; de Berg et al.,
 "Computational Geometry", chapter 4. Left out: the random order of insertion, which only the paper's way needs.
