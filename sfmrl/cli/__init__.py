@@ -55,7 +55,7 @@ def greeting() -> str:
     if folders and not finished(folders[0]):
         lines.append(unfinished(folders[0]))
     commands = {
-        "sfmrl il && sfmrl rl --reward sfm": "train a robot (a minute or two)",
+        "sfmrl il && sfmrl rl --reward sfm": "train a robot (one to three minutes)",
         f"sfmrl eval {policy}": "test it on 500 episodes",
         f"sfmrl ascii-render {policy}": "watch it",
         "sfmrl --help": "all commands",
