@@ -166,6 +166,7 @@ class Imitation(_Checked):
     epochs: int = knob(50, "passes over the demonstrations", 1, 10_000)
     batch_size: int = knob(100, "states in a batch", 1, 100_000)
     learning_rate: float = knob(0.01, "learning rate", 0, 1000)
+    refit: bool = knob(True, "rl: fit the demonstrations again if its reward differs from that of il (paper)")
     environment: str = knob("1", "environments of the demonstrations")
 
 

@@ -25,6 +25,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "epochs": 6,
             "batch_size": 200,
             "learning_rate": 2e-3,
+            "refit": False,
         },
         "reinforcement": {
             "episodes": 1000,

@@ -25,7 +25,7 @@ from sfmrl.runs.folders import DEMONSTRATIONS, LOCK, TABLES, kind_of
 from sfmrl.runs.progress import StopSignal, no_progress
 from sfmrl.runs.run import open_run
 from sfmrl.runs.training import run_imitation
-from sfmrl.study.jobs import pack, unpack
+from sfmrl.study.jobs import pack, restore, unpack
 from sfmrl.study.tables import read_row, run_folder
 from sfmrl.variants import make_config
 
@@ -222,8 +222,8 @@ def test_a_folder_that_travels_is_whole_or_not_there(place, tmp_path):
         folder = tmp_path / str(number)
         shutil.copytree(place / "il", folder / "run")
         code, _ = forked(folder, lambda: unpack(data, Path("run")), number)
-        if (folder / "run").exists():
-            assert contents(folder / "run") == contents(place / (kind_of(folder / "run") or ""))
+        restore(folder / "run")
+        assert contents(folder / "run") == contents(place / (kind_of(folder / "run") or ""))
         unpack(data, folder / "run")
         assert [path.name for path in folder.iterdir()] == ["run"]
         assert contents(folder / "run") == contents(place / "rl")

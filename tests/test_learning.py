@@ -19,7 +19,7 @@ from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, n
 from sfmrl.learning import OPTIMIZERS, Fit, Learner, Memory, forget, generator_state, learn, set_generator_state
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.runs.progress import no_progress
-from sfmrl.runs.training import due
+from sfmrl.runs.training import due, needs_fit
 from sfmrl.scenes import sample_scenes
 from sfmrl.states import robot_states
 from sfmrl.variants import make_config
@@ -332,3 +332,11 @@ def test_failed_scenes_are_tried_again_once_they_have_been_learnt_from_until_the
     without = Learner(plain_network(), make_memory(config), tiny_config())
     without.note_failures(np.arange(4), np.array(["timeout"] * 4))
     assert without.scenes_for(range(8, 12)) == [8, 9, 10, 11]
+
+
+def test_the_paper_s_preset_fits_every_reward_and_quick_only_another_state():
+    for preset, expected in (("paper", True), ("quick", False)):
+        il = make_config(preset)
+        assert not needs_fit(il, il)
+        assert needs_fit(il, make_config(preset, "sarl-sfm2")) is expected
+        assert needs_fit(il, make_config(preset, "sarl-sfm5"))

@@ -187,7 +187,7 @@ def test_a_damaged_checkpoint_is_named_and_the_one_before_offered(interrupted):
     newest.unlink()
     assert open_run(folder).load_checkpoint()["fit"]["epoch"] == 2
     flip_a_bit(older)
-    with pytest.raises(DamagedFile, match="delete it to start this run anew"):
+    with pytest.raises(DamagedFile, match="delete it to start this run over"):
         open_run(folder).load_checkpoint()
 
 

@@ -126,7 +126,7 @@ def chosen_steps(
 ) -> list[dict[str, Any]]:
     """Return the rows to show: every N-th step (by default about a dozen, or all within `steps`) and those with events.
 
-    Of an event that lasts long, its first and last step are shown, besides every N-th. `steps` is "10:20", "10:", ":20"
+    Of a long event, the first and last step are shown, and every N-th step. `steps` is "10:20", "10:", ":20"
     or "10", counted from 1; raises ConfigError where it names no step of the episode.
     """
     first, last = _range(steps, len(rows)) if steps else (1, len(rows))

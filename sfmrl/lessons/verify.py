@@ -1,6 +1,6 @@
 """Check a run folder: its files by their digests, and its weights by playing test episodes again.
 
-Whoever computes the digests anew can deceive the first check, but not the second.
+Forged digests can pass the first check, but not the second.
 """
 
 from collections.abc import Callable, Iterator
@@ -67,7 +67,7 @@ def verify(
 
 
 def _reinforcement(run: Run, rerun: Rerun) -> Iterator[Finding]:
-    """Yield findings on what a reinforcement run has besides."""
+    """Yield findings on what only a reinforcement run has."""
     whole = run.config.reinforcement.test_episodes
     yield _finding("imitation", _began, run)
     yield _finding("result.json", _rates, run)

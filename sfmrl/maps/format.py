@@ -1,4 +1,4 @@
-"""Read a map: text -> `Drawing`, with errors that name line and column. The format is told in `sfmrl.maps`."""
+"""Read a map: text -> `Drawing`, with errors that name line and column. `sfmrl.maps` describes the format."""
 
 from dataclasses import dataclass
 

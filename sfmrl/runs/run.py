@@ -94,7 +94,7 @@ class Run:
         try:
             data = read_checked(saved[-1])
         except DamagedFile as error:
-            before = f"to go on from {saved[-2].name}" if len(saved) > 1 else "to start this run anew"
+            before = f"to go on from {saved[-2].name}" if len(saved) > 1 else "to start this run over"
             raise DamagedFile(f"{error}, or delete it {before}") from None
         with self.restoring(), np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             state = json.loads(str(arrays["json"]), object_hook=lambda d: arrays[d["array"]] if "array" in d else d)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from sfmrl.config import Reinforcement
+from sfmrl.config import Config, Reinforcement
 from sfmrl.episodes import Record
 from sfmrl.evaluation import episode_rows, evaluation_record, metrics
 from sfmrl.fast import FastNetwork
@@ -89,8 +89,8 @@ def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], N
     """Restore the learner from the newest checkpoint, or make it from what the training starts from.
 
     That is a weights file, a random network, or an imitation run: its demonstrations, with the returns that this
-    training's reward gives them, and its network. If this training has another state, a network is fitted to the
-    demonstrations again; until that is done, checkpoints hold the fit.
+    training's reward gives them, and its network. If that has learnt something else (`needs_fit`), a network is fitted
+    to the demonstrations again; until that is done, checkpoints hold the fit.
     """
     config, saved = run.config, run.load_checkpoint()
     memory = make_memory(config)
@@ -109,12 +109,22 @@ def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], N
         return Learner(new_fit(config).network, memory, config)
     fill_memory(memory, load_demonstrations(_demonstrations_of(run), config.simulation), config)
     network, trained = load_weights(run.imitation / WEIGHTS)
-    if (trained.forces, trained.value_prior) != (config.forces, config.value_prior):
+    if needs_fit(trained, config):
         network = _fit_again(run, memory, saved, progress, stop, say)
     elif saved:
         with run.restoring():
             raise ValueError("it is one of a fit, which this run does without")
     return Learner(network, memory, config)
+
+
+def needs_fit(trained: Config, config: Config) -> bool:
+    """Whether imitation under one config leaves to be fitted what a training with another starts from.
+
+    Another state always does; another reward, discount or fit only if the preset has every row fitted to its own.
+    """
+    state, task = ("forces", "value_prior"), ("discount", "reward", "imitation")
+    names = state + task * config.imitation.refit
+    return any(getattr(trained, name) != getattr(config, name) for name in names)
 
 
 def _demonstrations_of(run: Run) -> Path:
@@ -140,8 +150,9 @@ def _fit_again(
     if saved:
         with run.restoring():
             fit.load_state_dict(saved["fit"])
-    source, columns = run.imitation, len(column_names(run.config.forces))
-    say(f"{source} was trained with another state: learning from its demonstrations again, with {columns} columns")
+    reward, columns = run.config.reward.reward, len(column_names(run.config.forces))
+    again = f"learning from its demonstrations again, with reward {reward} and {columns} state columns"
+    say(f"{run.imitation} was trained with another reward or state: {again}")
 
     def save_epoch(row: dict[str, Any]) -> None:
         run.save_checkpoint({"fit": fit.state_dict()})

@@ -165,6 +165,7 @@ class RayWorkers:
 
     def start(self, job: Job) -> bool:
         """Send a job to the cluster, which queues it, with its run folder and the one that it needs."""
+        restore(job.folder)
         begun = pack(job.folder) if job.folder.exists() else None
         self._sent[self._train.remote(job, begun, self._packed(job.needs))] = job
         return True
@@ -213,8 +214,9 @@ def pack(folder: Path) -> bytes:
 
 
 def unpack(data: bytes, folder: Path) -> None:
-    """Replace a folder by the files of an archive; a crash leaves the old folder, the new one or none, never a part."""
-    place = folder.with_name(f".{folder.name}.tmp")
+    """Replace a folder by the files of an archive; after a crash `restore` gives the old one or the new one."""
+    place = _beside(folder)
+    restore(folder)
     shutil.rmtree(place, ignore_errors=True)  # left by an unpacking that was killed
     with tarfile.open(fileobj=io.BytesIO(data)) as archive:
         archive.extractall(place / "new", filter="data")
@@ -222,3 +224,14 @@ def unpack(data: bytes, folder: Path) -> None:
         folder.rename(place / "old")
     (place / "new").rename(folder)
     shutil.rmtree(place)
+
+
+def restore(folder: Path) -> None:
+    """Put a folder back that `unpack` had moved away when it was killed; do nothing if none is missing."""
+    old = _beside(folder) / "old"
+    if old.exists() and not folder.exists():
+        old.rename(folder)
+
+
+def _beside(folder: Path) -> Path:
+    return folder.with_name(f".{folder.name}.tmp")
