@@ -147,3 +147,15 @@ def test_an_episode_ends_that_recovery_helps_on_its_way_to_a_goal_far_out():
     record = play(scenes, RecoveringPolicy(orca_policy, Planner(recover=True)))
     assert list(record.outcome) == ["timeout"]
     assert record.position[0, -1, 0, 1] > 10  # past the squares
+
+
+def test_the_grid_has_room_to_walk_around_a_square_of_any_size():
+    for half in (0.3, 1.0, 3.0):
+        scenes = Scenes(
+            start=[[[0.0, -6.0], [0.0, 0.0]]],
+            goal=[[[0.0, 6.0], [0.0, 0.0]]],
+            radius=[[0.3, half]],
+            square=[[False, True]],
+        )
+        assert solvable(scenes).all()
+        assert plan(scenes, Planner()).at(np.arange(1), scenes.start[:, 0])[0] < 12.0 + 2 * half

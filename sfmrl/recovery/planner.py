@@ -88,8 +88,12 @@ def plan(scenes: Scenes, planner: Planner, reach: np.ndarray | None = None) -> G
     places = np.where(square[..., None], scenes.start, np.nan)
     places[:, 0] = robot
     places = np.concatenate((places, goal[:, None]), axis=1)
-    corner = np.floor((np.nanmin(places, axis=1) - MARGIN) / planner.resolution) * planner.resolution
-    size = np.ceil((np.nanmax(places, axis=1) + MARGIN - corner) / planner.resolution) + 1
+    # The robot's way around a square keeps its radius from the outline, which may lie farther out than MARGIN.
+    around = scenes.radius + scenes.radius[:, :1] + planner.inflation + 2 * planner.resolution
+    margin = np.where(square, np.maximum(around, MARGIN), MARGIN)
+    margin = np.concatenate((margin, np.full((len(scenes), 1), MARGIN)), axis=1)[..., None]
+    corner = np.floor(np.nanmin(places - margin, axis=1) / planner.resolution) * planner.resolution
+    size = np.ceil((np.nanmax(places + margin, axis=1) - corner) / planner.resolution) + 1
     columns, rows = size.max(axis=0, initial=0)
     if max(columns, rows) > MOST_ACROSS or len(scenes) * rows * columns > MOST_CELLS:
         raise ConfigError(
