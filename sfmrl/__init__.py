@@ -39,6 +39,7 @@ _HOME = {
     "episodes": ("Record", "play"),
     "intervals": ("wilson",),
     "evaluation": ("evaluate", "evaluation_record", "metrics"),
+    "study.social": ("social_metrics", "social_values"),
 }
 _WHERE = {name: module for module, names in _HOME.items() for name in names}
 __all__ = sorted([*_WHERE, "__version__"])

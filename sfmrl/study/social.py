@@ -1,0 +1,143 @@
+"""How a robot treats people: what the field measures besides the paper's four metrics.
+
+Only people count here, squares do not. A gap is from surface to surface, the smallest during a step in which both discs
+move straight on, as in rewards and collisions. A time-out counts the steps that were played.
+"""
+
+import numpy as np
+
+from sfmrl.config import Planner
+from sfmrl.episodes import Record
+from sfmrl.geometry import length
+from sfmrl.recovery import plan
+from sfmrl.sfm import repulsive_forces, resultant
+
+DANGER = 0.2  # m, CrowdNav's discomfort distance
+ZONES = {"intimate": 0.45, "personal": 1.2, "social": 3.6}  # m, Hall (1966)
+LONGEST_TTC = 10.0  # s
+MOVING = 1e-6  # m/s: a slower velocity has no direction
+
+# What each metric is, as `--help` and the tutorials say it: unit, formula, source.
+SOCIAL_METRICS = {
+    "danger_frequency": "share of the steps with a gap below 0.2 m, without each episode's last step (CrowdNav)",
+    "danger_separation": "mean gap in those steps, m (CrowdNav)",
+    "path_length": "length of the robot's path, m",
+    "spl": "success x shortest path / the longer of it and the path, both to the goal itself (Anderson et al., 2018)",
+    "min_gap": "smallest gap of an episode, m",
+    **{name: f"share of the steps with a gap below {gap} m (Hall, 1966)" for name, gap in ZONES.items()},
+    "min_ttc": f"smallest time to collision at constant velocities, s, at most {LONGEST_TTC:g} (exact for discs)",
+    "jerk": "mean of |v(t+1) - 2 v(t) + v(t-1)| / dt^2 from the first action on, m/s^3",
+    "heading_change": "sum of the angles between successive directions of motion, rad",
+    "social_work": "time integral of |all people's force on the robot| + sum of |the robot's on each|, with "
+    "equation 2's forces, m/s (after HuNavSim, Perez-Higueras et al., 2023)",
+}
+
+
+def social_metrics(record: Record) -> dict[str, float | None]:
+    """Every one of `SOCIAL_METRICS` over a record's episodes; None where there is nothing to measure.
+
+    The two danger metrics are over all steps, as in CrowdNav; the others are means over episodes.
+    """
+    values = social_values(record)
+    danger, gap = _danger(record)
+    result = {name: _mean(value) for name, value in values.items()}
+    result["danger_frequency"] = float(danger.sum() / record.steps.sum())
+    result["danger_separation"] = _mean(gap[danger])
+    return result
+
+
+def social_values(record: Record) -> dict[str, np.ndarray]:
+    """Every one of `SOCIAL_METRICS` by episode, (E,); NaN where an episode has nothing to measure."""
+    dt, steps, played = record.simulation.time_step, record.steps, record.played
+    danger, gap = _danger(record)
+    position = np.where(_people(record)[:, None, :, None], record.position[:, :-1, 1:], np.nan)
+    offset = position - record.position[:, :-1, :1]  # (E, T, H, 2), from the robot to each person
+    approach = record.velocity[:, :-1, 1:] - record.velocity[:, :-1, :1]
+    reach = record.scenes.radius[:, :1] + record.scenes.radius[:, 1:]
+    action = record.velocity[:, 1:, 0]  # (E, T, 2): what the robot did in each step
+    path = _sum(length(np.diff(record.position[:, :, 0], axis=1)))
+    force = repulsive_forces(-offset)
+    work = length(resultant(force)) + _sum(length(force))
+    with np.errstate(invalid="ignore"):
+        return {
+            "danger_frequency": danger.sum(axis=1) / steps,
+            "danger_separation": _ratio(np.where(danger, gap, 0.0).sum(axis=1), danger.sum(axis=1)),
+            "path_length": path,
+            "spl": _spl(record, path),
+            "min_gap": _finite(np.where(played, gap, np.inf).min(axis=1)),
+            **{name: (played & (gap < zone)).sum(axis=1) / steps for name, zone in ZONES.items()},
+            "min_ttc": _time_to_collision(offset, approach, reach[:, None]).min(axis=(1, 2), initial=LONGEST_TTC),
+            "jerk": _ratio(_sum(length(np.diff(action, 2, axis=1))) / dt**2, np.maximum(steps - 2, 0)),
+            "heading_change": _turned(action),
+            "social_work": np.where(played, work, 0.0).sum(axis=1) * dt,
+        }
+
+
+def _people(record: Record) -> np.ndarray:
+    """Which rows after the robot's are people, (E, N - 1) bool."""
+    return ~record.scenes.square[:, 1:] & ~np.isnan(record.scenes.start[:, 1:, 0])
+
+
+def _danger(record: Record) -> tuple[np.ndarray, np.ndarray]:
+    """Which steps are dangerous, (E, T) bool, and the gap to the nearest person, (E, T) in m; inf where nobody is."""
+    separations = np.where(_people(record)[:, None], record.transition.separations, np.inf)
+    gap = separations.min(axis=2, initial=np.inf)
+    before_last = np.arange(gap.shape[1]) < record.steps[:, None] - 1
+    return before_last & (gap < DANGER), gap
+
+
+def _spl(record: Record, path: np.ndarray) -> np.ndarray:
+    """Success weighted by path length, (E,); what was left to the goal at the end belongs to the path (E,), in m."""
+    scenes, last = record.scenes, (np.arange(len(record.steps)), record.steps - 1)
+    straight = length(scenes.goal[:, 0] - scenes.start[:, 0])
+    around = plan(scenes, Planner(inflation=0.0)).at(last[0], scenes.start[:, 0])
+    # The grid's distances are up to 1.4 % too long, and straight lines exact.
+    shortest = np.where(around < 1.015 * straight, straight, around)
+    path = path + record.transition.goal_distance[last]
+    return np.where(record.outcome == "success", shortest / np.maximum(shortest, path), 0.0)
+
+
+def _time_to_collision(offset: np.ndarray, approach: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """Seconds until discs touch at constant velocities; inf where they never do or nobody is (NaN).
+
+    `offset`, `approach` (..., 2) are one disc's position and velocity as seen from the other, `reach` (...) the sum of
+    their radii. It is the first root of |offset + time approach| = reach.
+    """
+    speed2 = (approach * approach).sum(-1)
+    along = (offset * approach).sum(-1)
+    beyond = (offset * offset).sum(-1) - reach * reach
+    root = along * along - speed2 * beyond
+    meets = (along < 0) & (root >= 0)
+    time = (-along - np.sqrt(np.where(meets, root, 0.0))) / np.where(meets, speed2, 1.0)
+    return np.where(beyond <= 0, 0.0, np.where(meets, time, np.inf))
+
+
+def _turned(velocity: np.ndarray) -> np.ndarray:
+    """Sum of the absolute angles between successive directions of motion, (E,) in rad; velocity (E, T, 2)."""
+    moving = length(velocity) > MOVING  # false where NaN
+    # The last moving step up to each step; before the first one, that first one.
+    last = np.maximum.accumulate(np.where(moving, np.arange(moving.shape[1]), -1), axis=1)
+    last = np.where(last < 0, moving.argmax(axis=1)[:, None], last)
+    angle = np.take_along_axis(np.arctan2(velocity[..., 1], velocity[..., 0]), last, axis=1)
+    turn = np.diff(np.where(moving.any(axis=1)[:, None], angle, 0.0), axis=1)
+    return np.abs((turn + np.pi) % (2 * np.pi) - np.pi).sum(axis=1)
+
+
+def _sum(values: np.ndarray) -> np.ndarray:
+    """Sum over the last axis, without NaN."""
+    return np.nansum(values, axis=-1)
+
+
+def _ratio(total: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """total / count, NaN where there is nothing to count."""
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def _mean(values: np.ndarray) -> float | None:
+    """Mean of what is not NaN, None where all is."""
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if len(known) else None
