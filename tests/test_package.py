@@ -28,6 +28,7 @@ WINGS = ("orca", "fast", "recovery", "maps", "runs", "replay", "study", "lessons
 LATER = {"scenes": {"maps"}, "policies": {"recovery", "runs.weights"}, "evaluation": {"recovery"}}
 # What shows progress and takes signals has its place beside the trainings, and is named where work takes long.
 PROGRESS = {name: {"runs.progress"} for name in ("evaluation", "imitation", "fast.explorer")}
+EXTRAS = {"jobs": {"ray"}, "plots": {"matplotlib"}}  # what optional extras install, and the files that use it
 WITH_TORCH = {"network"}
 PACKAGE = sorted((ROOT / "sfmrl").rglob("*.py"))
 MODELS = sorted((ROOT / "sfmrl" / "models").iterdir())
@@ -85,7 +86,7 @@ def test_only_few_files_import_torch_and_none_click(path):
     outer = {name.partition(".")[0] for name in imports(path, top_only=True)}
     assert ("torch" in outer) == (name_of(path) in WITH_TORCH)
     allowed = set(sys.stdlib_module_names) | {"sfmrl", "numpy", "torch", "typer", "rich"}
-    allowed |= {"ray"} if path.stem == "jobs" else set()  # an extra, which only those need who ask for it
+    allowed |= EXTRAS.get(path.stem, set())
     assert {name.partition(".")[0] for name in imports(path)} <= allowed
 
 
