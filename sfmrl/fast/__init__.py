@@ -1,4 +1,4 @@
-"""The network in NumPy, which plays and learns; `sfmrl.network` defines it. Importing this sets OpenBLAS to one thread."""
+"""The network in NumPy, which plays and learns, as `sfmrl.network` defines it. OpenBLAS is set to one thread."""
 
 from typing import Any
 
