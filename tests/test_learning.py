@@ -82,11 +82,14 @@ def test_forgetting_spares_denormal_numbers_and_changes_no_parameter(name):
 
 
 @settings(max_examples=100)
-@given(st.integers(1, 12), st.lists(st.integers(0, 15), max_size=8))
-def test_memory_keeps_the_newest_as_a_deque_does(capacity, pushes):
+@given(st.integers(1, 12), st.lists(st.integers(0, 15), max_size=8), st.integers(0, 8))
+def test_memory_keeps_the_newest_as_a_deque_does_also_after_it_was_saved(capacity, pushes, saved_after):
     memory, expected = Memory(capacity, 1), deque(maxlen=capacity)
     number = 0
-    for count in pushes:
+    for pushed, count in enumerate(pushes):
+        if pushed == saved_after:
+            saved, memory = memory.state_dict(), Memory(capacity, 1)
+            memory.load_state_dict(saved)
         values = np.arange(number, number + count, dtype=np.float32)
         states = np.repeat(values, 13).reshape(count, 1, 13)
         memory.push(states, values)
@@ -106,18 +109,6 @@ def test_memory_fills_up_with_absent_elements_that_change_no_value():
     stored, _ = memory.take(np.arange(6))
     assert np.isnan(stored[:, 3:, 6:]).all()
     np.testing.assert_allclose(network.evaluate(stored)[0], network.evaluate(states)[0], atol=1e-6)
-
-
-def test_memory_goes_on_from_what_it_saved():
-    one = Memory(5, 3)
-    for seed in range(3):
-        one.push(*random_batch(seed, count=3))
-    other = Memory(5, 3)
-    other.load_state_dict(one.state_dict())
-    for memory in (one, other):
-        memory.push(*random_batch(9, count=2))
-    for a, b in zip(one.take(np.arange(5)), other.take(np.arange(5)), strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("forces", [False, True])

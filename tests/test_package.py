@@ -70,8 +70,7 @@ def test_a_file_imports_only_what_is_below_it(path):
     if name in CORE:
         below = {*CORE[: CORE.index(name)], "orca", "fast"}
     else:
-        below = KERNELS.get(wing, {*CORE, *WINGS[: WINGS.index(wing)]})
-    below = below | {wing} - {name}
+        below = {wing} | KERNELS.get(wing, {*CORE, *WINGS[: WINGS.index(wing)]})
 
     def above(names: set[str]) -> set[str]:
         inner = {other.removeprefix("sfmrl.") for other in names if other.startswith("sfmrl.")}

@@ -50,7 +50,7 @@ class Layers(dict[str, np.ndarray]):
         self[name] = np.matmul(x, weight, out=array(name, len(x), weight.shape[1]))
         return self[name]
 
-    def relu(self, x: np.ndarray, name: str) -> np.ndarray:
+    def dense(self, x: np.ndarray, name: str) -> np.ndarray:
         """The linear layer `name` of rows x, with a ReLU."""
         return relu(self.product(x, name, self.parameters[name + ".weight"]), self.parameters[name + ".bias"])
 

@@ -109,8 +109,8 @@ class FastNetwork:
         layers.by_element(rows)[...] = states
         if not here.all():
             layers.by_element(rows)[~here] = 0
-        hidden = layers.relu(layers.relu(rows, "mlp1.0"), "mlp1.2")
-        feature = layers.relu(hidden, "mlp2.0")
+        hidden = layers.dense(layers.dense(rows, "mlp1.0"), "mlp1.2")
+        feature = layers.dense(hidden, "mlp2.0")
         mean = layers.weighted("mean", part, hidden)
         share = layers["share"] = self._attention(layers, hidden, mean, here)  # (E, A, K)
         pooled = layers.weighted("pooled", share, feature)
@@ -119,7 +119,7 @@ class FastNetwork:
         joint = layers.padded("joint", own + crowd.shape[1])
         layers.by_state(joint)[..., :own] = states[:, :, 0, :own]
         layers.by_state(joint)[..., own:] = layers.by_state(crowd) * anybody
-        last = layers.by_state(layers.relu(layers.relu(layers.relu(joint, "mlp3.0"), "mlp3.2"), "mlp3.4"))
+        last = layers.by_state(layers.dense(layers.dense(layers.dense(joint, "mlp3.0"), "mlp3.2"), "mlp3.4"))
         value = layers["value"] = (last * p["mlp3.6.weight"][:, 0]).sum(-1) + p["mlp3.6.bias"]  # (E, A)
         layers["scale"] = np.ones_like(value)  # the value's derivative by mlp3's output
         if self.value_prior:
@@ -134,7 +134,7 @@ class FastNetwork:
         score_1 = layers.product(hidden, "attention.0", by_hidden)
         from_mean = layers.by_state(np.matmul(mean, by_mean)) + p["attention.0.bias"]
         layers.by_element(score_1)[...] += from_mean[:, :, None]
-        score_2 = layers.relu(relu(score_1), "attention.2")
+        score_2 = layers.dense(relu(score_1), "attention.2")
         score = np.matmul(layers.by_element(score_2), p["attention.4.weight"][:, 0]) + p["attention.4.bias"]
         score[~here] = -np.inf
         share = np.exp(score - score.max(-1, keepdims=True, initial=LEAST))
