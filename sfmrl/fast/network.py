@@ -130,7 +130,7 @@ class FastNetwork:
     def _attention(self, layers: Layers, hidden: np.ndarray, mean: np.ndarray, here: np.ndarray) -> np.ndarray:
         """The share of attention that each element gets, (E, A, K)."""
         p = self.parameters
-        by_hidden, by_mean = np.split(p["attention.0.weight"], 2)
+        by_hidden, by_mean = _halves(p["attention.0.weight"])
         score_1 = layers.product(hidden, "attention.0", by_hidden)
         from_mean = layers.by_state(np.matmul(mean, by_mean)) + p["attention.0.bias"]
         layers.by_element(score_1)[...] += from_mean[:, :, None]
@@ -166,12 +166,12 @@ class FastNetwork:
         d_score_1 = self._through("attention.2", d_score_2, score_1, "attention.2")
         d_score_1 = relu_back(d_score_1, score_1)  # attention.0 is dead now
         d_both = np.matmul(np.ones((1, elements), np.float32), d_score_1.reshape(batch, elements, -1))[:, 0]  # (B, 100)
-        d_by_hidden, d_by_mean = np.split(found["attention.0.weight"], 2)
+        d_by_hidden, d_by_mean = _halves(found["attention.0.weight"])
         np.matmul(hidden.T, d_score_1, out=d_by_hidden)
         np.matmul(mean.T, d_both, out=d_by_mean)
         np.matmul(np.ones(batch, np.float32), d_both, out=found["attention.0.bias"])
 
-        by_hidden, by_mean = np.split(p["attention.0.weight"], 2)
+        by_hidden, by_mean = _halves(p["attention.0.weight"])
         d_hidden = self._through("mlp2.0", d_feature, hidden, "attention.0")  # d_feature is dead now
         d_hidden += np.matmul(d_score_1, by_hidden.T, out=array("d_feature", *hidden.shape))
         d_hidden += outer(part, np.matmul(d_both, by_mean.T), "d_feature")
@@ -186,3 +186,8 @@ class FastNetwork:
     def _by_parameters(self, name: str, d: np.ndarray, x: np.ndarray) -> None:
         np.matmul(x.T, d, out=self.gradients[name + ".weight"])
         np.matmul(np.ones(len(d), np.float32), d, out=self.gradients[name + ".bias"])
+
+
+def _halves(weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rows of attention.0's weight that read an element, and those that read the mean."""
+    return weight[: len(weight) // 2], weight[len(weight) // 2 :]
