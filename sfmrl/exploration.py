@@ -57,16 +57,13 @@ def remember(learner: Learner, record: Record, random_steps: np.ndarray) -> None
     """Store the states of a record with the values to learn for them, and note the scenes in which the robot failed."""
     config, returns = learner.config, learner.config.reinforcement.targets == "returns"
     learner.note_failures(record.scenes.episode, record.outcome)
-    kept = np.flatnonzero((record.outcome != "timeout") | returns)
-    if not len(kept):
-        return
+    kept = (record.outcome != "timeout") | returns
     record, random_steps = record.take(kept), random_steps[kept]
     states, played = record.states(config), record.played
     # The steps at whose start the target network's value stands for all that follows.
     guessed = random_steps & played if returns else played.copy()
     guessed[:, 0] = False  # no step comes before the first that would need it
     guess = np.full(played.shape, np.nan)
-    if guessed.any():
-        guess[guessed] = learner.target.evaluate(states[guessed[played]])[0]
+    guess[guessed] = learner.target.evaluate(states[guessed[played]])[0]
     step = step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation)
     learner.memory.push(states, returns_of(record.reward, step, guess)[played])

@@ -282,9 +282,14 @@ def test_without_exploration_every_action_is_the_network_s():
     np.testing.assert_array_equal(policy(worlds, moves), record.transition.velocity[record.played])
 
 
-def test_nothing_in_memory_means_nothing_to_learn():
+def test_time_outs_alone_leave_the_memory_empty_and_nothing_to_learn():
     config = tiny_config()
     learner = Learner(plain_network(), make_memory(config), config)
+    record, random_steps = played(config)
+    late = record.outcome == "timeout"
+    remember(learner, record.take(late), random_steps[late])
+    assert len(learner.memory) == 0
+    assert learner.failed
     before = learner.network.flat.copy()
     assert math.isnan(learner.learn(3))
     np.testing.assert_array_equal(learner.network.flat, before)
