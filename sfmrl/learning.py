@@ -71,7 +71,7 @@ def learn(network: FastNetwork, optimizer: SGD, rate: float, states: np.ndarray,
 
 
 def mean_loss(losses: list[float], optimizer: SGD, settings: Imitation | Reinforcement) -> float:
-    """The mean loss of some steps; raises ConfigError if it or the network is not finite, before a checkpoint is."""
+    """The mean loss of some steps; raises ConfigError if it or the network is not finite, before it is saved."""
     loss = float(np.mean(losses))
     if not (math.isfinite(loss) and np.isfinite(optimizer.network.flat).all()):
         raise ConfigError(

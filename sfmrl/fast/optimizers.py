@@ -12,7 +12,7 @@ NEGLIGIBLE = 1e-20  # a mean gradient too small to move a parameter; hundreds of
 
 
 class SGD:
-    """Gradient descent with momentum: each step, the sum of the gradients fades to `MOMENTUM` of it (Polyak, 1964)."""
+    """Descent along a sum of the gradients that decays by the factor `MOMENTUM` at each step (Polyak, 1964)."""
 
     falls = False  # whether the learning rate falls to 0 over a training, in a straight line
 
