@@ -1,7 +1,7 @@
-"""Play episodes to their end, many side by side, and record them in arrays that everything else reads.
+"""Play episodes to their end, many side by side, and record them in arrays.
 
-When episodes end, waiting ones take their places, so the batch stays full; which episodes share it changes no number.
-Rewards and returns are computed from the record afterwards: one set of episodes serves every reward and state.
+When an episode ends, a waiting one takes its place, so the batch stays full; no number depends on what shares a batch.
+Rewards and returns are computed from the record afterwards, so one set of episodes serves every reward and state.
 """
 
 import math
@@ -22,23 +22,23 @@ from sfmrl.scenes import Scenes
 from sfmrl.states import elements_within, robot_states
 from sfmrl.world import World, advance, crowd_velocities, reset, transition
 
-BATCH = 256  # episodes side by side, where a policy does not name another number
+BATCH = 256  # episodes side by side, unless a policy has its own number
 TOLERANCE = 1e-4  # m/s by which a policy may exceed v_pref: ORCA computes in float32
 
 
 @dataclass(frozen=True)
 class Record(Batch):
-    """E played episodes: arrays over time, NaN (outcome: running) after an episode's end; T the longest's steps.
+    """E played episodes of up to T steps; after an episode's end, arrays are NaN and its outcome is RUNNING.
 
     scenes: the `Scenes` that were played
-    simulation: the `Simulation` in which they were
+    simulation: the `Simulation` in which they were played
     steps (E,): how many steps each episode took
     position (E, T + 1, N, 2): m, entry t before step t, row 0 the robot
     velocity (E, T + 1, N, 2): m/s, entry t before step t
     transition: a `Transition` of arrays (E, T)
-    reward (E, T): what each step paid
-    discounted_return (E,): the rewards' discounted sum from the first step on
-    notes: arrays (E, T, ...) by name of what the policy noted at each step (`Policy.explain`), if they were kept
+    reward (E, T): of each step
+    discounted_return (E,): the discounted sum of the rewards from the first step on
+    notes: arrays (E, T, ...) by name, the policy's `Notes` on each step if they were kept
     """
 
     scenes: Scenes
@@ -67,28 +67,19 @@ class Record(Batch):
         return np.arange(self.reward.shape[1]) < self.steps[:, None]
 
     def worlds(self) -> World:
-        """The worlds before every step played, flat: S of them in the order of episodes, then time."""
+        """The S worlds before every step played, in the order of episodes, then time."""
         episode, step = np.nonzero(self.played)
         start = reset(self.scenes, self.simulation).take(episode)
-        at = (episode, step)
-        return World(**{**vars(start), "position": self.position[at], "velocity": self.velocity[at], "steps": step})
+        return replace(start, position=self.position[episode, step], velocity=self.velocity[episode, step], steps=step)
 
     def states(self, config: Config) -> np.ndarray:
-        """Robot-centred states before every step played, (S, K, F), as a config has them, in the order of `worlds`."""
+        """Robot-centred states (S, K, F) of the `worlds`, with a config's columns and reach."""
         episode, step = np.nonzero(self.played)
         position, velocity = self.position[episode, step], self.velocity[episode, step]
-        radius = self.scenes.radius[episode]
-        return robot_states(
-            position[:, 0],
-            velocity[:, 0],
-            self.scenes.goal[episode, 0],
-            radius[:, 0],
-            self.scenes.v_pref[episode, 0],
-            elements_within(config.reach, position),
-            velocity[:, 1:],
-            radius[:, 1:],
-            forces=config.forces,
-        )
+        goal, radius, v_pref = (part[episode] for part in (self.scenes.goal, self.scenes.radius, self.scenes.v_pref))
+        robot = position[:, 0], velocity[:, 0], goal[:, 0], radius[:, 0], v_pref[:, 0]
+        elements = elements_within(config.reach, position), velocity[:, 1:], radius[:, 1:]
+        return robot_states(*robot, *elements, forces=config.forces)
 
 
 def play(
@@ -104,21 +95,20 @@ def play(
     """Play every scene to its end with `policy` and return the record.
 
     `policy` is a name ("orca", "sarl", a run folder, a weights file: see `load_policy`) or a function that is called
-    before every step with the `World` of the E episodes that go on and with the people's coming velocities (E, N, 2) in
-    m/s, both read-only, and returns the robots' velocities (E, 2) in m/s, none faster than its v_pref.
+    before every step with the `World` of the E running episodes and with everybody's velocities (E, N, 2) in m/s in the
+    coming step, both read-only, and returns the robots' velocities (E, 2) in m/s, none faster than its v_pref.
 
     `reward` is "crowd", "sfm", "sfm-discount", "file.py:function", a `Reward` with its numbers, or a function that is
-    given a `Transition` and `Reward()` and returns an array, a number a transition. `safety_space` (m) widens the
-    discs when ORCA drives the robot; `crowd` is "orca" or "sfm"; `discount` is gamma per second at 1 m/s.
+    given a `Transition` and `Reward()` and returns an array, one number for each transition. `safety_space` (m) is
+    added to every radius if ORCA drives the robot; `crowd` is "orca" or "sfm"; `discount` is per second at 1 m/s.
 
-    Raises ConfigError where an argument is none of these, and where a policy or reward returns anything else.
+    Raises ConfigError if an argument is none of these, and if a policy or reward returns anything else.
     """
     if not isinstance(scenes, Scenes):
         raise ConfigError(f"scenes is {kind(scenes)}; it takes Scenes, as sample_scenes('circle5', 100) makes them")
-    settings = as_reward(reward)
     simulation = Simulation(crowd=crowd, robot_visible=robot_visible, safety_space=safety_space)
-    discount = Config(discount=discount).discount  # held to its range
-    return play_episodes(scenes, find_policy(policy, reward), settings, simulation, discount=discount)
+    discount = Config(discount=discount).discount  # checks its range
+    return play_episodes(scenes, find_policy(policy, reward), as_reward(reward), simulation, discount=discount)
 
 
 def play_episodes(
@@ -130,66 +120,69 @@ def play_episodes(
     discount: float = 0.9,
     batch: int | None = None,
     keep: bool = False,
-    progress: Callable[[int], None] = lambda done: None,
+    progress: Callable[[int], None] = lambda ended: None,
 ) -> Record:
-    """`play` with whole configs, `batch` episodes at a time; calls `progress` with the number that have just ended.
+    """`play` with whole configs, `batch` episodes at a time, and with the policy's notes in the record if `keep`.
 
-    The record has the policy's notes if `keep`. Raises MemoryError where it would be too large for this machine.
+    `progress` is called with the number of episodes that have just ended. Raises MemoryError if the record would be too
+    large for this machine.
     """
     terms = reward_terms(reward)
-    whole = _begin(scenes, policy, simulation)
-    count, longest = len(scenes), simulation.longest
-    position, velocity = (np.full((count, longest + 1, *whole.position.shape[1:]), np.nan) for _ in range(2))
-    position[:, 0], velocity[:, 0] = whole.position, whole.velocity
-    kept, notes, steps = {}, {}, np.zeros(count, dtype=int)
-    nobody = whole.take(np.arange(0))
-    _write(kept, nobody, vars(transition(nobody, np.zeros((0, 2)))), count)  # makes the arrays
-
-    waiting = min(getattr(policy, "batch", BATCH) if batch is None else batch, count)
-    world = whole.take(np.arange(waiting))
-    while len(world):
-        moves = crowd_velocities(world)
-        action, noted = _choice(policy, world, moves, keep)
-        step = transition(world, action)
-        if not world.steps.any():
-            terms(step)  # a reward that cannot be used is better found now than after the last episode
-        _write(kept, world, vars(step), count)
-        _write(notes, world, noted, count)
-        world = advance(world, moves, action)
-        position[world.episode, world.steps] = world.position
-        velocity[world.episode, world.steps] = world.velocity
-        ended = step.outcome != RUNNING
-        if ended.any():
-            steps[world.episode[ended]] = world.steps[ended]
-            progress(int(ended.sum()))
-            fresh = np.arange(waiting, min(waiting + int(ended.sum()), count))
-            world, waiting = _refill(whole, world, ~ended, fresh), waiting + len(fresh)
-
-    most = int(steps.max(initial=0))
-    played = Transition(**kept)[:, :most]
-    rewards = rewards_of(played, steps, terms)
-    first = returns_of(rewards, step_discount(discount, scenes.v_pref[:, 0], simulation))[:, :1].sum(1)
-    notes = {name: array[:, :most] for name, array in notes.items()}
-    position, velocity = position[:, : most + 1], velocity[:, : most + 1]
-    return Record(scenes, simulation, steps, position, velocity, played, rewards, first, notes)
-
-
-def _begin(scenes: Scenes, policy: Policy, simulation: Simulation) -> World:
-    """Prepare the policy and return the world at the start; raises MemoryError if the record would be too large."""
     count, rows = scenes.start.shape[:2]
     needed = 8 * count * simulation.longest * (5 * rows + 7)  # bytes of all that is recorded
     if needed > memory_size():
         raise MemoryError(f"{count} episodes of up to {simulation.longest} steps need {needed / 1e9:.1f} GB")
     if begin := getattr(policy, "begin", None):
         begin(scenes, simulation)
-    return reset(scenes, simulation)
+    batch = getattr(policy, "batch", BATCH) if batch is None else batch
+    moments, parts, notes = _recorded(reset(scenes, simulation), policy, terms, batch, keep, progress)
+    steps = 1 + (parts["outcome"] != RUNNING).argmax(1)
+    most = int(steps.max(initial=0))
+    played = Transition(**parts)[:, :most]
+    rewards = rewards_of(played, steps, terms)
+    returns = returns_of(rewards, step_discount(discount, scenes.v_pref[:, 0], simulation))[:, :1].sum(1)
+    notes = {name: array[:, :most] for name, array in notes.items()}
+    position, velocity = moments[:, :, : most + 1]
+    return Record(scenes, simulation, steps, position, velocity, played, rewards, returns, notes)
+
+
+def _recorded(
+    start: World,
+    policy: Policy,
+    terms: Callable[[Transition], Terms],
+    batch: int,
+    keep: bool,
+    progress: Callable[[int], None],
+) -> tuple[np.ndarray, dict[str, np.ndarray], Notes]:
+    """Play all episodes of `start`: positions and velocities, (2, E, T + 1, N, 2), transitions' parts, and notes."""
+    count, longest = len(start), start.simulation.longest
+    moments = np.full((2, count, longest + 1, *start.position.shape[1:]), np.nan)
+    moments[:, :, 0] = start.position, start.velocity
+    parts, notes = {}, {}
+    nobody = start.take(slice(0))
+    _write(parts, nobody, vars(transition(nobody, np.zeros((0, 2)))), count)  # makes the arrays
+    waiting = min(batch, count)  # the first of the episodes that wait for their turn
+    world = start.take(slice(waiting))
+    while len(world):
+        moves = crowd_velocities(world)
+        action, noted = _choice(policy, world, moves, keep)
+        step = transition(world, action)
+        if not world.steps.any():
+            terms(step)  # a reward that fails had better do so now than after the last episode
+        _write(parts, world, vars(step), count)
+        _write(notes, world, noted, count)
+        world = advance(world, moves, action)
+        moments[:, world.episode, world.steps] = world.position, world.velocity
+        going = step.outcome == RUNNING
+        if ended := np.count_nonzero(~going):
+            progress(ended)
+            fresh = np.arange(waiting, min(waiting + ended, count))
+            world, waiting = _refill(start, world, going, fresh), waiting + len(fresh)
+    return moments, parts, notes
 
 
 def _choice(policy: Policy, world: World, moves: np.ndarray, keep: bool) -> tuple[np.ndarray, Notes]:
-    """The policy's actions (E, 2) in m/s, and its notes if `keep`.
-
-    Raises ConfigError where the policy returns anything else, or changes the world.
-    """
+    """The policy's actions (E, 2) in m/s, and its notes if `keep`; raises ConfigError if it returns anything else."""
     name, notes = f"policy {name_of(policy)}", {}
     try:
         given = read_only(world), read_only(moves)
@@ -209,7 +202,7 @@ def _choice(policy: Policy, world: World, moves: np.ndarray, keep: bool) -> tupl
 
 
 def _write(arrays: dict[str, np.ndarray], world: World, parts: dict[str, np.ndarray], count: int) -> None:
-    """Write a step's `parts` (e, ...) into `arrays` (E, T, ...), by name; those still missing are made, of NaN or 0."""
+    """Write a step's `parts` (e, ...) into `arrays` (E, T, ...), by name; make arrays of NaN or 0 that are missing."""
     for name, part in parts.items():
         if name not in arrays:
             empty = np.nan if part.dtype.kind == "f" else 0  # 0 is RUNNING, too
@@ -217,15 +210,15 @@ def _write(arrays: dict[str, np.ndarray], world: World, parts: dict[str, np.ndar
         arrays[name][world.episode, world.steps] = part
 
 
-def _refill(whole: World, world: World, going: np.ndarray, fresh: np.ndarray) -> World:
-    """The world of the episodes that are `going` on (a mask), and of `fresh` ones (an index array) at their start."""
+def _refill(start: World, world: World, going: np.ndarray, fresh: np.ndarray) -> World:
+    """The world of the episodes that are `going` on (a mask), and of `fresh` ones (indices) at their start."""
     changing = ("position", "velocity", "steps")
-    joined = {name: np.concatenate((getattr(world, name)[going], getattr(whole, name)[fresh])) for name in changing}
-    return replace(whole.take(np.concatenate((world.episode[going], fresh))), **joined)
+    joined = {name: np.concatenate((getattr(world, name)[going], getattr(start, name)[fresh])) for name in changing}
+    return replace(start.take(np.concatenate((world.episode[going], fresh))), **joined)
 
 
 def memory_size() -> float:
-    """The machine's memory in bytes; infinite where the system does not say."""
+    """The machine's memory in bytes; infinite on systems that do not tell."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
@@ -233,10 +226,7 @@ def memory_size() -> float:
 
 
 def rewards_of(transition: Transition, steps: np.ndarray, terms: Callable[[Transition], Terms]) -> np.ndarray:
-    """The reward of every step played, (E, T), NaN after an episode's end; `transition` (E, T), `steps` (E,).
-
-    `terms` is what `reward_terms` returns.
-    """
+    """The rewards of a transition (E, T), by what `reward_terms` returns; NaN after an episode's `steps` (E,)."""
     played = np.arange(transition.outcome.shape[1]) < steps[:, None]
     rewards = np.full(played.shape, np.nan)
     rewards[played] = total(terms(transition[played]))
@@ -244,10 +234,10 @@ def rewards_of(transition: Transition, steps: np.ndarray, terms: Callable[[Trans
 
 
 def returns_of(rewards: np.ndarray, step_discount: np.ndarray, guess: np.ndarray | None = None) -> np.ndarray:
-    """Discounted sum of the rewards from each step on, (E, T).
+    """Discounted sums of the rewards from each step on, (E, T), with the discounts for one step, (E,).
 
-    `rewards` (E, T) are NaN after an episode's end, and so are the returns; `step_discount` (E,) is that of a step.
-    Where `guess` (E, T) is not NaN, it stands for all that follows from that step on.
+    `rewards` (E, T) are NaN after an episode's end, and so are the returns. Where `guess` (E, T) is not NaN, earlier
+    returns take it for the return from that step on.
     """
     returns = np.empty_like(rewards)
     later = np.zeros(len(rewards))

@@ -1,5 +1,6 @@
-"""How good is a policy: the paper's metrics over test episodes, with intervals, in all and by environment."""
+"""How good is a policy: the paper's metrics over test episodes, with intervals, overall and by environment."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,14 +11,13 @@ from sfmrl.intervals import wilson
 from sfmrl.lookahead import Policy
 from sfmrl.policies import find_policy
 from sfmrl.rewards import OwnReward, as_reward
-from sfmrl.runs.progress import Progress, no_progress
 from sfmrl.scenes import sample_scenes
 
 RATES = ("success", "collision", "timeout")
 
 
 def evaluate(policy: str | Policy, **how: Any) -> dict[str, Any]:
-    """The metrics (see `metrics`) of a policy over test episodes; arguments as for `evaluation_record`."""
+    """The `metrics` of a policy over test episodes; arguments as for `evaluation_record`."""
     policy = find_policy(policy, how.get("reward"))
     return metrics(evaluation_record(policy, **how), policy)
 
@@ -33,13 +33,13 @@ def evaluation_record(
     phase: str = "test",
     people: int | None = None,
     people_speed: float | None = None,
-    progress: Progress = no_progress,
+    progress: Callable[[int], None] = lambda ended: None,
 ) -> Record:
-    """Test episodes played with a policy, among other `people` than the environment's if asked (see `sample_scenes`).
+    """Test episodes played with a policy; `people` and `people_speed` as in `sample_scenes`.
 
-    `environment`, `simulation` and `reward` (for the total reward) are by default those that the policy was trained to
-    be tested in; for a policy that was not trained, table 1's mix and CrowdNav's. Raises ConfigError on unknown names
-    and on less than one episode.
+    `environment`, `simulation` and `reward` (for the total reward) default to those of the policy's training; for a
+    policy without training, to table 1's mix and CrowdNav's. `progress` is called with the number of episodes that have
+    just ended. Raises ConfigError on unknown names and on less than one episode.
     """
     in_range("episodes", episodes, 1, EPISODES)
     chosen = find_policy(policy, reward)
@@ -48,17 +48,16 @@ def evaluation_record(
     environment = own.reinforcement.test_environment if environment is None else environment
     simulation = own.simulation if simulation is None else simulation
     scenes = sample_scenes(environment, episodes, seed, phase=phase, people=people, people_speed=people_speed)
-    with progress(phase, episodes) as told:
-        return play_episodes(scenes, chosen, settings, simulation, discount=own.discount, progress=told)
+    return play_episodes(scenes, chosen, settings, simulation, discount=own.discount, progress=progress)
 
 
 def metrics(record: Record, policy: Policy | None = None) -> dict[str, Any]:
-    """The paper's metrics of a record, and the same by environment where there are several.
+    """The paper's metrics of a record, and the same by environment if there are several.
 
     `success`, `collision`, `timeout` are rates, each with its 95 % Wilson interval under `intervals`;
-    `navigation_time` is the successes' mean time in s (None without any); `total_reward` the mean discounted return.
-    `failures` are the episodes that did not succeed, and whether their squares leave a way to the goal. Of a `policy`
-    with recovery that has just played them, `recovered` is the rate of episodes in which it was stuck.
+    `navigation_time` is the mean time of the successes in s (None without any); `total_reward` the mean discounted
+    return. `failures` lists the episodes without success, and whether their squares leave a path to the goal. If
+    `policy` has recovery and has just played the record, `recovered` is the rate of episodes in which it was stuck.
     """
     from sfmrl.recovery import RecoveringPolicy, solvable
 
@@ -68,43 +67,36 @@ def metrics(record: Record, policy: Policy | None = None) -> dict[str, Any]:
     names = np.unique(record.scenes.environment)
     if len(names) > 1:
         result["environments"] = {str(n): _summary(record.take(record.scenes.environment == n)) for n in names}
-    failed = np.flatnonzero(record.outcome != "success")
+    failed = record.take(record.outcome != "success")
     result["failures"] = [
-        {
-            "episode": int(record.scenes.episode[e]),
-            "environment": str(record.scenes.environment[e]),
-            "outcome": str(record.outcome[e]),
-            "solvable": bool(possible),
-        }
-        for e, possible in zip(failed, solvable(record.scenes.take(failed)), strict=True)
+        {name: row[name] for name in ("episode", "environment", "outcome")} | {"solvable": bool(possible)}
+        for row, possible in zip(episode_rows(failed), solvable(failed.scenes), strict=True)
     ]
     return result
 
 
 def episode_rows(record: Record) -> list[dict[str, Any]]:
-    """A row of plain values for each episode, for a CSV file; `hit` is what a collision was with: human or square."""
-    hit = collided_with(record)
-    return [
-        {
-            "episode": int(record.scenes.episode[e]),
-            "environment": str(record.scenes.environment[e]),
-            "outcome": str(record.outcome[e]),
-            "hit": str(hit[e]),
-            "steps": int(record.steps[e]),
-            "time": float(record.time[e]),
-            "total_reward": float(record.discounted_return[e]),
-            "smallest_separation": float(record.transition.separation[e, : record.steps[e]].min()),
-        }
-        for e in range(len(record.steps))
-    ]
+    """A row of plain values for each episode, for a CSV file; `hit` says what the robot ran into: human or square."""
+    columns = {
+        "episode": record.scenes.episode,
+        "environment": record.scenes.environment,
+        "outcome": record.outcome,
+        "hit": collided_with(record),
+        "steps": record.steps,
+        "time": record.time,
+        "total_reward": record.discounted_return,
+        "smallest_separation": np.fmin.reduce(record.transition.separation, axis=1, initial=np.inf),
+    }
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
 def collided_with(record: Record) -> np.ndarray:
-    """What the robot ran into in each episode, (E,): "human", "square", or "" where it did not collide."""
-    episode = np.arange(len(record.steps))
-    nearest = record.transition.separations[episode, record.steps - 1].argmin(axis=1)
-    struck = np.where(record.scenes.square[episode, 1 + nearest], "square", "human")
-    return np.where(record.outcome == "collision", struck, "")
+    """What the robot ran into in each episode, (E,): "human", "square", or "" without a collision."""
+    gaps = record.transition.separations[np.arange(len(record.steps)), record.steps - 1]  # (E, K) m, in the last step
+    square = record.scenes.square[:, 1:]
+    to_square, to_human = (gaps.min(axis=1, initial=np.inf, where=rows) for rows in (square, ~square))
+    return np.where(record.outcome != "collision", "", np.where(to_square < to_human, "square", "human"))
 
 
 def _summary(record: Record) -> dict[str, Any]:

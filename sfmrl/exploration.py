@@ -1,9 +1,9 @@
-"""Exploration: training episodes with random actions among the greedy ones, and what is remembered of them.
+"""Exploration: training episodes with some random actions, and what is remembered of them.
 
-There are two kinds of value to learn: `td`, the reward plus the target network's value of the next state; and
-`returns`, the discounted rewards that really followed up to the next random action, plus the target network's value
-from there. Every random number comes from the seed and the episode's number, so the numbers do not depend on which
-episodes are played side by side, or on which process.
+There are two kinds of values to learn. `td`: the reward, plus the target network's value of the next state. `returns`:
+the discounted rewards that followed up to the next random action, plus the target network's value from there on. Every
+random number comes from the seed and the episode's number, so numbers do not depend on which episodes are played side
+by side, or on which process.
 """
 
 from collections.abc import Sequence
@@ -23,21 +23,21 @@ Explored = tuple[Record, np.ndarray]
 def explore(
     policy: SarlPolicy, config: Config, episodes: Sequence[int], numbers: Sequence[int] | None = None
 ) -> Explored:
-    """Play training episodes with epsilon-greedy actions; their record, and which steps (E, T) were random.
+    """Play training episodes epsilon-greedily; returns their record, and which steps (E, T) were random.
 
-    They are played in the scenes of these `numbers`, by default their own; the episode decides what is random.
+    `numbers` says in which scenes, by default in the episodes' own; random actions depend on the episodes alone.
     """
     settings = config.reinforcement
     scenes = sample_scenes(settings.environment, episodes if numbers is None else numbers, config.seed, phase="train")
     scenes = thinned(scenes, config.sparse, config.seed)
-    most = config.simulation.longest
+    longest = config.simulation.longest
     rngs = [generator(config.seed, "exploration", episode) for episode in episodes]
-    random_steps = np.array([rng.random(most) for rng in rngs]) < epsilon(settings, np.array(episodes))[:, None]
-    picks = ACTIONS[np.array([rng.integers(len(ACTIONS), size=most) for rng in rngs])]  # (E, T, 2)
+    random_steps = np.array([rng.random(longest) for rng in rngs]) < epsilon(settings, np.array(episodes))[:, None]
+    random_actions = ACTIONS[np.array([rng.integers(len(ACTIONS), size=longest) for rng in rngs])]  # (E, T, 2)
 
     def epsilon_greedy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
         at = (world.episode, world.steps)
-        action = picks[at] * world.v_pref[:, :1]
+        action = random_actions[at] * world.v_pref[:, :1]
         greedy = np.flatnonzero(~random_steps[at])
         if len(greedy):
             action[greedy] = policy(world.take(greedy), crowd_velocity[greedy])
@@ -48,25 +48,22 @@ def explore(
 
 
 def epsilon(settings: Reinforcement, episode: np.ndarray) -> np.ndarray:
-    """The share of random actions in training episodes, a straight line and then level: (E,)."""
+    """The share of random actions in training episodes (E,): it falls linearly, then stays."""
     progress = np.minimum(episode / settings.epsilon_episodes, 1.0)
     return settings.epsilon_start + (settings.epsilon_end - settings.epsilon_start) * progress
 
 
 def remember(learner: Learner, record: Record, random_steps: np.ndarray) -> None:
-    """Store the states of a record with the values to learn for them, and note in which scenes the robot failed."""
-    config, settings = learner.config, learner.config.reinforcement
+    """Store the states of a record with the values to learn for them, and note the scenes in which the robot failed."""
+    config, returns = learner.config, learner.config.reinforcement.targets == "returns"
     learner.note_failures(record.scenes.episode, record.outcome)
-    kept = np.flatnonzero((record.outcome != "timeout") | (settings.targets == "returns"))
-    if not len(kept):
-        return
+    kept = (record.outcome != "timeout") | returns
     record, random_steps = record.take(kept), random_steps[kept]
     states, played = record.states(config), record.played
-    # A state's value is asked of the target network where the step before it bootstraps from it.
-    asked = random_steps & played if settings.targets == "returns" else played.copy()
-    asked[:, 0] = False
+    # The steps at whose start the target network's value stands for all that follows.
+    guessed = random_steps & played if returns else played.copy()
+    guessed[:, 0] = False  # no step comes before the first that would need it
     guess = np.full(played.shape, np.nan)
-    if asked.any():
-        guess[asked] = learner.target.evaluate(states[asked[played]])[0]
+    guess[guessed] = learner.target.evaluate(states[guessed[played]])[0]
     step = step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation)
     learner.memory.push(states, returns_of(record.reward, step, guess)[played])

@@ -1,7 +1,7 @@
-"""Imitation: ORCA shows the way, and the network learns what its situations were worth.
+"""Imitation: ORCA drives the robot, and the network learns the values of the states that it passes through.
 
-Demonstrations are kept as trajectories, so one collection serves every reward and state: the returns to learn are the
-demonstrations' own, computed under the reward in use.
+Demonstrations are stored as trajectories, so one collection serves every reward and state: the values to learn are the
+demonstrations' returns under the reward in use.
 """
 
 from collections.abc import Callable
@@ -9,50 +9,75 @@ from collections.abc import Callable
 from sfmrl.config import Config, ConfigError
 from sfmrl.episodes import Record, play_episodes, returns_of, rewards_of
 from sfmrl.fast import new_network
-from sfmrl.learning import Fit, Memory
+from sfmrl.fast.optimizers import OPTIMIZERS, forget
+from sfmrl.learning import Memory, Resumable, learn, mean_loss
 from sfmrl.lookahead import step_discount
 from sfmrl.policies import orca_policy
 from sfmrl.rewards import reward_terms
-from sfmrl.runs.progress import Progress
 from sfmrl.scenes import elements_of, generator, sample_scenes, thinned
 
 
-def demonstrate(config: Config, progress: Progress) -> Record:
-    """Play the imitation episodes with ORCA driving the robot."""
+def demonstrate(config: Config, progress: Callable[[int], None] = lambda ended: None) -> Record:
+    """Play the imitation episodes with ORCA; `progress` is called with the number that have just ended."""
     settings = config.imitation
     scenes = sample_scenes(settings.environment, settings.episodes, config.seed, phase="imitation")
     scenes = thinned(scenes, config.sparse, config.seed)
-    with progress("demonstrations", settings.episodes) as told:
-        return play_episodes(scenes, orca_policy, config.reward, config.simulation, progress=told)
+    return play_episodes(scenes, orca_policy, config.reward, config.simulation, progress=progress)
 
 
 def make_memory(config: Config) -> Memory:
-    """The memory that imitation fills and reinforcement keeps: as many elements as any of their environments has."""
+    """An empty memory for imitation and reinforcement, with room for the most elements of their environments."""
     environments = config.imitation.environment, config.reinforcement.environment
     elements = max(1, *map(elements_of, environments))
     return Memory(config.reinforcement.memory, elements, forces=config.forces, mirror=config.mirror)
 
 
 def fill_memory(memory: Memory, record: Record, config: Config) -> None:
-    """Store the demonstrations' states with their returns under `config`'s reward; timed-out episodes are left out."""
+    """Store the demonstrations' states with their returns under `config`'s reward, without timed-out episodes."""
     record = record.take(record.outcome != "timeout")
-    rewards = rewards_of(record.transition, record.steps, reward_terms(config.reward))
-    returns = returns_of(rewards, step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation))
     if not len(record.steps):
         raise ConfigError("every demonstration ended in a time-out, and those are not learnt from; allow more time")
+    rewards = rewards_of(record.transition, record.steps, reward_terms(config.reward))
+    returns = returns_of(rewards, step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation))
     memory.push(record.states(config), returns[record.played])
 
 
-def new_fit(config: Config) -> Fit:
-    """Imitation at its start: a network drawn from the config's seed."""
-    network = new_network(config, config.seed)
-    return Fit(network, config, generator(config.seed, "fit"))
+class Fit(Resumable):
+    """A network between two epochs of imitation; it is drawn from the config's seed."""
+
+    parts, counters = ("network", "optimizer"), ("epoch",)
+
+    def __init__(self, config: Config) -> None:
+        self.settings, self.network = config.imitation, new_network(config, config.seed)
+        self.optimizer = OPTIMIZERS[config.optimizer](self.network)
+        self.rng = generator(config.seed, "fit")
+        self.epoch = 0
+
+    def batches_left(self, memory: Memory) -> int:
+        """The number of batches up to the end of the last epoch."""
+        return (self.settings.epochs - self.epoch) * -(-len(memory) // self.settings.batch_size)
+
+    def run_epoch(self, memory: Memory, progress: Callable[[int], None]) -> float:
+        """Learn from each state in the memory once, in random order; returns the mean loss."""
+        size = self.settings.batch_size
+        order = self.rng.permutation(len(memory))
+        batches = [order[first : first + size] for first in range(0, len(order), size)]
+        steps = self.settings.epochs * len(batches)
+        losses = []
+        forget(self.optimizer)
+        for number, rows in enumerate(batches, start=self.epoch * len(batches)):
+            rate = self.optimizer.rate(self.settings.learning_rate, number / steps)
+            losses.append(learn(self.network, self.optimizer, rate, *memory.take(rows)))
+            progress(1)
+        loss = mean_loss(losses, self.optimizer, self.settings)
+        self.epoch += 1
+        return loss
 
 
-def fit_memory(fit: Fit, memory: Memory, progress: Progress, keep: Callable[[dict], None]) -> None:
-    """Run the epochs that are left; `keep` is given a row of metrics after each."""
-    batches = -(-len(memory) // fit.settings.batch_size)
-    with progress("imitation", (fit.settings.epochs - fit.epoch) * batches) as told:
-        while fit.epoch < fit.settings.epochs:
-            loss = fit.run_epoch(memory, told)
-            keep({"epoch": fit.epoch, "loss": loss})
+def fit_memory(
+    fit: Fit, memory: Memory, keep: Callable[[dict], None], progress: Callable[[int], None] = lambda batches: None
+) -> None:
+    """Run the epochs that are left; calls `keep` with metrics after each epoch, `progress` with 1 after each batch."""
+    while fit.epoch < fit.settings.epochs:
+        loss = fit.run_epoch(memory, progress)
+        keep({"epoch": fit.epoch, "loss": loss})

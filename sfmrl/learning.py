@@ -1,13 +1,11 @@
 """Gradient descent on stored values, which imitation and reinforcement learning share.
 
 The loss is the mean squared error between the network's value of a state and the stored one, as in CrowdNav. `Memory`
-is the replay memory, `Fit` a network on its way through the epochs of imitation, and `Learner` one on its way through
-the episodes of deep V-learning.
+is the replay memory, `Learner` the state of deep V-learning between two rounds of episodes.
 """
 
 import json
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,22 +16,18 @@ from sfmrl.fast.optimizers import OPTIMIZERS, SGD, forget
 from sfmrl.scenes import generator
 from sfmrl.states import OWN, column_names, mirrored_columns
 
-PARTS = ("network", "actor", "target", "average", "optimizer", "memory")
-COUNTERS = ("episode", "batch", "failed", "rows", "validations")
-
 
 class Memory:
-    """At most `capacity` states (K, F) with a value each; those of fewer elements are filled up with absent ones.
+    """The newest states (K, F) and their values, at most `capacity`; states of fewer elements get absent ones.
 
-    With `mirror`, every other state that is taken out is mirrored left to right: it is worth as much.
+    With `mirror`, every other state that is taken out is mirrored left to right, which leaves its value as it is.
     """
 
     def __init__(self, capacity: int, elements: int, *, forces: bool = False, mirror: bool = False) -> None:
-        columns, own = len(column_names(forces)), len(OWN) + 2 * forces
         self.mirror = mirrored_columns(forces) if mirror else None
-        self.states = np.empty((capacity, elements, columns), dtype=np.float32)
+        self.states = np.empty((capacity, elements, len(column_names(forces))), dtype=np.float32)
         self.values = np.empty(capacity, dtype=np.float32)
-        self.own = own  # the columns from here on are the element's, and NaN where it is absent
+        self.own = len(OWN) + 2 * forces  # the columns from here on are an element's, and NaN where it is absent
         self.size = self.next = 0
 
     def __len__(self) -> int:
@@ -41,14 +35,12 @@ class Memory:
 
     def push(self, states: np.ndarray, values: np.ndarray) -> None:
         """Add states (S, k, F) with k <= K, and their values (S,), in order."""
-        capacity, elements = self.states.shape[:2]
+        capacity = len(self.states)
         states, values = states[-capacity:], values[-capacity:]
-        where = (self.next + np.arange(len(states))) % capacity
-        present = states.shape[1]
+        where, present = (self.next + np.arange(len(states))) % capacity, states.shape[1]
         self.states[where, :present] = states
-        if present < elements:
-            self.states[where, present:, : self.own] = states[:, :1, : self.own]
-            self.states[where, present:, self.own :] = np.nan
+        self.states[where, present:, : self.own] = states[:, :1, : self.own]
+        self.states[where, present:, self.own :] = np.nan
         self.values[where] = values
         self.next = int((self.next + len(states)) % capacity)
         self.size = min(self.size + len(states), capacity)
@@ -61,16 +53,16 @@ class Memory:
         return states, self.values[rows]
 
     def state_dict(self) -> dict[str, Any]:
-        """All that is stored, for a checkpoint."""
+        """What a checkpoint stores."""
         return {"states": self.states[: self.size], "values": self.values[: self.size], "next": self.next}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Take back what `state_dict` gave."""
+        """Restore what `state_dict` returned."""
         self.size, self.next = len(saved["values"]), saved["next"]
         self.states[: self.size], self.values[: self.size] = saved["states"], saved["values"]
 
 
-@np.errstate(over="ignore", invalid="ignore")  # found by `mean_loss`
+@np.errstate(over="ignore", invalid="ignore")  # `mean_loss` finds what is not finite
 def learn(network: FastNetwork, optimizer: SGD, rate: float, states: np.ndarray, values: np.ndarray) -> float:
     """One step of descent at learning rate `rate` on states (B, K, F) and values (B,); returns the loss."""
     loss, _ = network.loss_and_gradients(states, values)
@@ -79,10 +71,7 @@ def learn(network: FastNetwork, optimizer: SGD, rate: float, states: np.ndarray,
 
 
 def mean_loss(losses: list[float], optimizer: SGD, settings: Imitation | Reinforcement) -> float:
-    """The mean of the losses of steps of descent; raises ConfigError where it or the network is not finite after them.
-
-    Checkpoints are written after this, so the last one is finite.
-    """
+    """The mean loss of some steps; raises ConfigError if it or the network is not finite, before it is saved."""
     loss = float(np.mean(losses))
     if not (math.isfinite(loss) and np.isfinite(optimizer.network.flat).all()):
         raise ConfigError(
@@ -93,55 +82,39 @@ def mean_loss(losses: list[float], optimizer: SGD, settings: Imitation | Reinfor
     return loss
 
 
-class Fit:
-    """A network on its way through the epochs of imitation: what has to be kept to go on after an interruption."""
+class Resumable:
+    """A training that goes on to the same bits from what it has stored: its `parts`, `counters` and generator."""
 
-    def __init__(self, network: FastNetwork, config: Config, rng: np.random.Generator) -> None:
-        self.network, self.settings, self.rng = network, config.imitation, rng
-        self.optimizer = OPTIMIZERS[config.optimizer](network)
-        self.epoch = 0
-
-    def run_epoch(self, memory: Memory, progress: Callable[[int], None]) -> float:
-        """One pass over all that is stored, in random order; returns the mean loss."""
-        size = self.settings.batch_size
-        order = self.rng.permutation(len(memory))
-        batches = [order[first : first + size] for first in range(0, len(order), size)]
-        steps = self.settings.epochs * len(batches)
-        losses = []
-        forget(self.optimizer)
-        for number, rows in enumerate(batches, start=self.epoch * len(batches)):
-            rate = self.optimizer.rate(self.settings.learning_rate, number / steps)
-            losses.append(learn(self.network, self.optimizer, rate, *memory.take(rows)))
-            progress(1)
-        loss = mean_loss(losses, self.optimizer, self.settings)
-        self.epoch += 1
-        return loss
+    parts: tuple[str, ...]
+    counters: tuple[str, ...]
+    rng: np.random.Generator
 
     def state_dict(self) -> dict[str, Any]:
-        """All that decides how it goes on."""
-        return {
-            "network": self.network.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
-            "rng": generator_state(self.rng),
-            "epoch": self.epoch,
-        }
+        """What a checkpoint stores."""
+        parts = {name: getattr(self, name).state_dict() for name in self.parts}
+        counters = {name: getattr(self, name) for name in self.counters}
+        return parts | counters | {"rng": json.dumps(self.rng.bit_generator.state)}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Take back what `state_dict` gave."""
-        self.network.load_state_dict(saved["network"])
-        self.optimizer.load_state_dict(saved["optimizer"])
-        set_generator_state(self.rng, saved["rng"])
-        self.epoch = saved["epoch"]
+        """Restore what `state_dict` returned."""
+        for name in self.parts:
+            getattr(self, name).load_state_dict(saved[name])
+        for name in self.counters:
+            setattr(self, name, saved[name])
+        self.rng.bit_generator.state = json.loads(saved["rng"])
 
 
-class Learner:
-    """All that has to be kept to go on to the same bits after an interruption."""
+class Learner(Resumable):
+    """Deep V-learning between two rounds: the networks, the memory, and what has been counted and measured so far."""
+
+    parts = ("network", "actor", "target", "average", "optimizer", "memory")
+    counters = ("episode", "batch", "failed", "rows", "validations")
 
     def __init__(self, network: FastNetwork, memory: Memory, config: Config) -> None:
         self.config, self.memory, self.network = config, memory, network
         self.target = network.copy()
         self.average = network.copy()  # of the network over the last batches (Polyak and Juditsky, 1992)
-        # What explores: the network itself, or what it was before the batches that are being learnt meanwhile.
+        # What explores: the network itself, or a copy from before the batches that are learnt at the same time.
         self.actor = network.copy() if config.reinforcement.parallel > 1 else network
         self.optimizer = OPTIMIZERS[config.optimizer](network)
         self.rng = generator(config.seed, "batches")
@@ -156,25 +129,25 @@ class Learner:
         return self.average if self.config.reinforcement.average else self.network
 
     def learn(self, batches: int) -> float:
-        """So many batches of gradient descent on what is stored; returns their mean loss (NaN without any)."""
-        settings = self.config.reinforcement
-        if not len(self.memory):
-            return float("nan")
-        losses = []
+        """Run `batches` steps of descent on the memory; returns their mean loss, NaN without any."""
+        settings, stored = self.config.reinforcement, len(self.memory)
+        if not (stored and batches):
+            return math.nan
         forget(self.optimizer)
-        stored, size = len(self.memory), min(settings.batch_size, len(self.memory))
         # All draws in a row: between batches, each would take eight times as long, out of the processor's cache.
-        for rows in [self.rng.choice(stored, size, replace=False) for _ in range(batches)]:
-            progress = self.batch / max(settings.episodes * settings.batches, 1)
-            rate = self.optimizer.rate(settings.learning_rate, progress)
+        size = min(settings.batch_size, stored)
+        draws = [self.rng.choice(stored, size, replace=False) for _ in range(batches)]
+        losses = []
+        for rows in draws:
+            rate = self.optimizer.rate(settings.learning_rate, self.batch / (settings.episodes * settings.batches))
             losses.append(learn(self.network, self.optimizer, rate, *self.memory.take(rows)))
             if settings.average:
                 self.average.flat += np.float32(1 / settings.average) * (self.network.flat - self.average.flat)
             self.batch += 1
-        return mean_loss(losses, self.optimizer, settings) if losses else float("nan")
+        return mean_loss(losses, self.optimizer, settings)
 
     def advance(self, episodes: int) -> None:
-        """So many more episodes have been learnt from: renew the target network where its interval has passed."""
+        """Count `episodes` more as learnt from, and renew the target network if its interval has passed."""
         interval = self.config.reinforcement.target_interval
         renew = self.episode // interval < (self.episode + episodes) // interval
         self.episode += episodes
@@ -182,16 +155,16 @@ class Learner:
             self.target.flat[:] = self.network.flat
 
     def scenes_for(self, episodes: range) -> list[int]:
-        """The scenes in which to play the next episodes: their own or, in up to half of them, where it has failed.
+        """The scenes in which to play the next episodes: their own or, in up to half of them, earlier failures.
 
-        Only failures that it has learnt from count, and not those of the round before, which is being learnt meanwhile.
+        Failures of the previous round do not count yet, since that round may be learnt from at the same time.
         """
         learnt = [scene for scene, after in self.failed if after < episodes.start]
         again = learnt[: len(episodes) // 2] if self.config.reinforcement.retry else []
         return [*again, *episodes[len(again) :]]
 
     def note_failures(self, scenes: np.ndarray, outcome: np.ndarray) -> None:
-        """Keep the numbers of the scenes (E,) whose episodes had another outcome (E,) than success, oldest first."""
+        """Update the failed scenes, oldest first, with the scenes (E,) just played and their outcomes (E,)."""
         tried, following = set(scenes.tolist()), self.episode + len(scenes)
         self.failed = [pair for pair in self.failed if pair[0] not in tried]
         self.failed += [[scene, following] for scene in scenes[outcome != "success"].tolist()]
@@ -199,27 +172,3 @@ class Learner:
     def renew_actor(self) -> None:
         """Let the next episodes be played with the network as it is now."""
         self.actor.flat[:] = self.network.flat
-
-    def state_dict(self) -> dict[str, Any]:
-        """All that decides how the training goes on."""
-        parts = {name: getattr(self, name).state_dict() for name in PARTS}
-        counters = {name: getattr(self, name) for name in COUNTERS}
-        return parts | counters | {"rng": generator_state(self.rng)}
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Take back what `state_dict` gave."""
-        for name in PARTS:
-            getattr(self, name).load_state_dict(saved[name])
-        for name in COUNTERS:
-            setattr(self, name, saved[name])
-        set_generator_state(self.rng, saved["rng"])
-
-
-def generator_state(rng: np.random.Generator) -> str:
-    """A generator's state as text."""
-    return json.dumps(rng.bit_generator.state)
-
-
-def set_generator_state(rng: np.random.Generator, state: str) -> None:
-    """Put a generator into a state that `generator_state` gave."""
-    rng.bit_generator.state = json.loads(state)

@@ -1,6 +1,6 @@
-"""SARL's choice: look one step ahead with every action, and take the one that leads to most reward and value.
+"""SARL's choice: look one step ahead with every action, and take the one with the highest reward plus value.
 
-The people's next states come from the simulator, as in CrowdNav: they do not depend on the robot's action, so one step
+The people's next states come from the simulator, as in CrowdNav. They do not depend on the robot's action, so one step
 of the crowd serves all 81.
 """
 
@@ -18,7 +18,7 @@ from sfmrl.states import elements_within, is_alone, robot_states
 from sfmrl.traps import best_untrapped
 from sfmrl.world import World, transition
 
-BLOCK = 4  # episodes at most that are looked at together, so that what is computed stays in the processor's cache
+BLOCK = 4  # episodes at most whose actions are valued together, so that the arrays stay in the processor's cache
 
 
 def _actions() -> np.ndarray:
@@ -31,14 +31,13 @@ def _actions() -> np.ndarray:
 
 ACTIONS = _actions()
 
-
-Notes = dict[str, np.ndarray]  # what a policy can tell of its choice, arrays (E, ...) by name
+Notes = dict[str, np.ndarray]  # what a policy notes on its choice: arrays (E, ...) by name
 
 
 class Policy(Protocol):
-    """What chooses the robot's actions: a function of (world, crowd_velocity), or an object that is called like one.
+    """Chooses the robot's actions: a function of (world, crowd_velocity), or an object that is called like one.
 
-    An object may have more, which is used where it is there:
+    An object may have more, which is then used:
     begin(scenes, simulation): called before the first step of every play, to prepare for its episodes
     explain(world, crowd_velocity): the call's actions and `Notes` on them, for records that keep these
     batch: how many episodes to play side by side
@@ -46,18 +45,18 @@ class Policy(Protocol):
     """
 
     def __call__(self, world: World, crowd_velocity: np.ndarray) -> np.ndarray:
-        """Return the robots' velocities (E, 2) in m/s; the people are about to move with `crowd_velocity` (E, N, 2)."""
+        """The robots' velocities (E, 2) in m/s; `crowd_velocity` (E, N, 2) in m/s is everybody's in the coming step."""
 
 
 def explained(policy: Policy, world: World, crowd_velocity: np.ndarray) -> tuple[np.ndarray, Notes]:
-    """A policy's actions (E, 2) in m/s and its notes on them; none from a policy that takes no notes."""
+    """A policy's actions (E, 2) in m/s and its notes on them, none if it cannot `explain`."""
     explain = getattr(policy, "explain", None)
     return explain(world, crowd_velocity) if explain else (policy(world, crowd_velocity), {})
 
 
 @dataclass(frozen=True)
 class Lookahead:
-    """What SARL weighs up: the 81 actions (E, A, 2) in m/s, their values (E, A), and the best one's index (E,)."""
+    """What SARL chooses from: the 81 actions (E, A, 2) in m/s, their values (E, A), and the index of the best (E,)."""
 
     actions: np.ndarray
     values: np.ndarray
@@ -70,18 +69,17 @@ class Lookahead:
 
 
 class SarlPolicy:
-    """Take the action with the highest reward plus discounted value of where it leads; a Policy.
+    """Takes the action with the highest reward plus discounted value of the state after it; a `Policy`.
 
-    `network` is a FastNetwork, or a ValueNetwork of which it makes one; `config` says with which reward, discount and
-    state it looks ahead. Blocks of episodes are spread over `threads` threads; what shares a block changes no number.
+    `network` is a FastNetwork, or a ValueNetwork to make one of; `config` sets the reward, the discount and the state.
+    Blocks of episodes are spread over `threads` threads; the numbers do not depend on how.
     """
 
-    batch = 32  # episodes side by side: the network is what takes the time, and more would only end later
+    batch = 32  # episodes side by side: the network takes most of the time, which larger batches would not reduce
 
     def __init__(self, network, config: Config, threads: int = 1) -> None:
-        self.network, self.config = as_fast(network), config
-        self.threads = threads
-        self.trap_steps = int(config.careful)  # how far ahead it looks for places that it could not leave
+        self.network, self.config, self.threads = as_fast(network), config, threads
+        self.trap_steps = int(config.careful)  # how many steps deep the traps are that it avoids
         self._terms = reward_terms(config.reward)
         self._pool = ThreadPoolExecutor(threads)
 
@@ -94,102 +92,59 @@ class SarlPolicy:
         return look.action, vars(look)
 
     def lookahead(self, world: World, crowd_velocity: np.ndarray) -> Lookahead:
-        """Values of all actions in every episode of the world."""
+        """The values of all actions, and the best, in every episode of the world."""
         actions = ACTIONS * world.v_pref[:, 0, None, None]  # (E, A, 2)
         values, outcome = self.judge(world, crowd_velocity, actions)
         if not np.isfinite(values).all():
             raise ConfigError(
                 "the network's values are not finite: its weights are too large, so its training diverged"
             )
+        best = values.argmax(1)
         if self.trap_steps:
             best = best_untrapped(world, crowd_velocity, actions, values, outcome, self.trap_steps)
-        else:
-            best = values.argmax(1)
         return Lookahead(actions, values, best)
 
     def judge(self, world: World, crowd_velocity: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The values and outcomes (E, A) of actions (E, A, 2) in m/s, reckoned in blocks on all threads."""
+        """The values and outcomes (E, A) of actions (E, A, 2) in m/s, computed in blocks on all threads."""
         size = max(1, min(BLOCK, -(-len(world) // self.threads)))
-        blocks = [slice(e, e + size) for e in range(0, len(world), size)] or [slice(0)]
-        parts = self._pool.map(lambda rows: self._values(world, crowd_velocity, actions, rows), blocks)
+        blocks = [slice(e, e + size) for e in range(0, max(len(world), 1), size)]
+        parts = self._pool.map(lambda rows: self._values(world.take(rows), crowd_velocity[rows], actions[rows]), blocks)
         values, outcome = (np.concatenate(part) for part in zip(*parts, strict=True))
         return values, outcome
 
     def attention(self, world: World) -> np.ndarray:
-        """The share of attention each element gets in the world as it is, (E, K)."""
+        """The share of attention that each element gets in the world as it is, (E, K)."""
         return self.network.evaluate(world_states(world, self.config))[1]
 
-    def _values(
-        self, world: World, crowd_velocity: np.ndarray, actions: np.ndarray, rows: slice
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The values and outcomes (e, A) of all actions in some of the episodes."""
-        world, crowd_velocity, action = world.take(np.arange(len(world))[rows]), crowd_velocity[rows], actions[rows]
+    def _values(self, world: World, crowd_velocity: np.ndarray, action: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The values and outcomes (e, A) of actions (e, A, 2) in a block of e episodes."""
         step = transition(world, action)  # (e, A)
-        reward = total(self._terms(step))
-        dt = world.simulation.time_step
-        states = robot_states(
-            world.ahead(action),
-            action,
-            world.goal[:, :1],
-            world.radius[:, :1],
-            world.v_pref[:, :1],
-            (elements_within(self.config.reach, world.position) + crowd_velocity[:, 1:] * dt)[:, None],
-            crowd_velocity[:, None, 1:],
-            world.radius[:, None, 1:],
-            forces=self.config.forces,
-        )  # (e, A, K, F)
+        robot = world.ahead(action), action, world.goal[:, :1], world.radius[:, :1], world.v_pref[:, :1]
+        places = elements_within(self.config.reach, world.position) + crowd_velocity[:, 1:] * world.simulation.time_step
+        elements = places[:, None], crowd_velocity[:, None, 1:], world.radius[:, None, 1:]
+        states = robot_states(*robot, *elements, forces=self.config.forces)  # (e, A, K, F)
         ahead = self.network.evaluate(states)[0]
         if self.config.careful:
             ahead = np.where(is_alone(states), value_alone(self.config, step.goal_distance, world.radius[:, :1]), ahead)
             ahead = np.where(step.outcome == COLLISION, 0.0, ahead)
-        return reward + step_discount(self.config.discount, world.v_pref[:, :1], world.simulation) * ahead, step.outcome
+        discount = step_discount(self.config.discount, world.v_pref[:, :1], world.simulation)
+        return total(self._terms(step)) + discount * ahead, step.outcome
 
 
 def value_alone(config: Config, goal_distance: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """What a robot with nothing around it will be paid for going straight to its goal, `goal_distance` m away."""
+    """The value for a robot with nothing around it that goes straight to its goal, `goal_distance` m away."""
     return config.reward.success * config.discount ** np.maximum(goal_distance - radius, 0.0)
 
 
-class RememberingPolicy(SarlPolicy):
-    """SARL that keeps the values of every moment it has judged, so that playing the same moment again costs nothing.
-
-    A test with recovery goes the same way as the test without, until an episode's robot is stuck or near a trap.
-    """
-
-    def __init__(self, network, config: Config, threads: int = 1) -> None:
-        super().__init__(network, config, threads)
-        self._judged: dict[tuple, tuple[np.ndarray, np.ndarray]] = {}
-
-    def judge(self, world: World, crowd_velocity: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As SARL's, from memory where it can be; what the people are about to do follows from where they are."""
-        numbers = zip(world.episode.tolist(), world.steps.tolist(), strict=True)
-        moments = zip(numbers, world.position, world.velocity, strict=True)
-        keys = [(number, position.tobytes(), velocity.tobytes()) for number, position, velocity in moments]
-        new = np.flatnonzero([key not in self._judged for key in keys])
-        if len(new):
-            judged = super().judge(world.take(new), crowd_velocity[new], actions[new])
-            self._judged |= zip((keys[row] for row in new), zip(*judged, strict=True), strict=True)
-        values, outcome = zip(*(self._judged[key] for key in keys), strict=True)
-        return np.array(values), np.array(outcome)
-
-
 def world_states(world: World, config: Config) -> np.ndarray:
-    """Robot-centred states of a world, (E, K, F), as a config has them."""
-    return robot_states(
-        world.position[:, 0],
-        world.velocity[:, 0],
-        world.goal[:, 0],
-        world.radius[:, 0],
-        world.v_pref[:, 0],
-        elements_within(config.reach, world.position),
-        world.velocity[:, 1:],
-        world.radius[:, 1:],
-        forces=config.forces,
-    )
+    """Robot-centred states of a world, (E, K, F), with a config's columns and reach."""
+    robot = (part[:, 0] for part in (world.position, world.velocity, world.goal, world.radius, world.v_pref))
+    elements = elements_within(config.reach, world.position), world.velocity[:, 1:], world.radius[:, 1:]
+    return robot_states(*robot, *elements, forces=config.forces)
 
 
 def step_discount(discount: float, v_pref: np.ndarray, simulation: Simulation) -> np.ndarray:
-    """CrowdNav's discount of one step, gamma^(dt v_pref), in the shape of the robot's `v_pref` (m/s)."""
+    """CrowdNav's discount for one step, gamma^(dt v_pref), in the shape of the robot's `v_pref` (m/s)."""
     return discount ** (simulation.time_step * v_pref)
 
 

@@ -1,8 +1,8 @@
-"""SARL: attention over the elements around the robot, and one number for what the situation is worth.
+"""SARL: attention over the elements around the robot, and the value of the situation.
 
 The value network of Chen et al., "Crowd-Robot Interaction" (2019), as a plain torch module with CrowdNav's parameter
-names, so that its SARL checkpoints load. This is the definition; `sfmrl.fast` computes the same in NumPy, and that is
-what plays and learns. Left out: the local map.
+names, so that its SARL checkpoints load. This is the definition; `sfmrl.fast` computes the same in NumPy, for playing
+and learning. Left out: the local map.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ class ValueNetwork(nn.Module):
     """The value of robot-centred states: (B, K, F) -> (B,), F = 13 or, with `forces`, 17.
 
     An absent element is a row with NaN in its own columns. With `value_prior` the value is written as
-    0.9^(goal distance - 0.3) (0.8 + network), so that it falls off with distance from the start. `sizes` are the
+    0.9^(goal distance - 0.3) (0.8 + network), so that it decreases with distance before any training. `sizes` are the
     numbers of units; the parameters are drawn from `seed`.
     """
 
@@ -50,7 +50,7 @@ class ValueNetwork(nn.Module):
         return value
 
     def evaluate(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values and shares of attention of states, from array to arrays, by `FastNetwork.evaluate`."""
+        """Values (B,) and attention (B, K) of states (B, K, F), by `FastNetwork.evaluate`."""
         return as_fast(self).evaluate(states)
 
 
@@ -63,10 +63,10 @@ def _mlp(width: int, *sizes: int) -> nn.Sequential:
 
 
 def _masked_mean(x: Tensor, here: Tensor) -> Tensor:
-    """The mean of the elements that are there, (B, 1, C); zeros if none is."""
+    """The mean (B, 1, C) over the elements that are `here`; zeros if none is."""
     return (x * here[..., None]).sum(1, keepdim=True) / here.sum(1).clamp(min=1)[:, None, None]
 
 
 def _masked_softmax(score: Tensor, here: Tensor) -> Tensor:
-    """Shares (B, K) of the elements that are there; zeros if none is."""
+    """The softmax (B, K) over the elements that are `here`; zeros if none is."""
     return torch.softmax(score.masked_fill(~here, -1e30), 1) * here

@@ -1,4 +1,4 @@
-"""How the robot chooses, by name: straight for the goal, ORCA, the Social Force Model, or a trained SARL network."""
+"""Policies by name: straight to the goal, ORCA, the Social Force Model, or a trained SARL network."""
 
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from sfmrl.world import World, orca_crowd, sfm_crowd
 
 
 def linear_policy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
-    """Straight for the goal at v_pref, blind to everything: (E, 2) m/s."""
+    """Straight to the goal at v_pref, whatever is in the way: (E, 2) m/s."""
     return direction(world.goal[:, 0] - world.position[:, 0]) * world.v_pref[:, :1]
 
 
@@ -21,7 +21,7 @@ def orca_policy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
     """ORCA with the simulation's safety space, (E, 2) m/s."""
     simulation = world.simulation
     if simulation.crowd == "orca" and simulation.robot_visible and not simulation.safety_space:
-        return crowd_velocity[:, 0]  # the crowd's own computation has been the same one
+        return crowd_velocity[:, 0]  # the crowd's ORCA has computed the same for row 0
     robot_only = np.zeros(world.square.shape, dtype=bool)
     robot_only[:, 0] = True
     return orca_crowd(world, world.position, robot_only, simulation.safety_space)[:, 0]
@@ -36,7 +36,7 @@ POLICIES: dict[str, Policy] = {"linear": linear_policy, "orca": orca_policy, "sf
 
 
 def find_policy(policy: str | Path | Policy, reward: Any = None) -> Policy:
-    """Load a policy as `load_policy` does, or return a function as it is; `reward`, named by the user, may be run."""
+    """A function as it is, a name as `load_policy` reads it; the `reward` that the user names may be run."""
     if isinstance(policy, (str, Path)):
         return load_policy(policy, trust_reward=getattr(reward, "reward", reward))
     if not callable(policy):
@@ -45,13 +45,13 @@ def find_policy(policy: str | Path | Policy, reward: Any = None) -> Policy:
 
 
 def load_policy(name_or_path: str | Path, threads: int | None = None, *, trust_reward: bool | str = False) -> Policy:
-    """The policy of a name: linear, orca, sfm, a model that comes with sfmrl (sarl, sarl-sfm6, ...), a run folder, or a
-    weights file (sfmrl's or a CrowdNav SARL's), or the output folder that CrowdNav's is in.
+    """The policy with a name: linear, orca, sfm, a model that comes with sfmrl (sarl, sarl-sfm6, ...), a run folder, a
+    weights file (sfmrl's or CrowdNav's SARL), or CrowdNav's output folder.
 
-    A CrowdNav file says nothing of its reward: it looks ahead with CrowdNav's. A network that was trained with a reward
-    of somebody's own looks ahead with that Python code, which is run only if `trust_reward` is True or its name,
-    file.py:function. Raises ConfigError where there is no such policy, DamagedFile where a run's weights, config.json
-    or run.json are not what was written.
+    A CrowdNav file does not name its reward, so its policy looks ahead with CrowdNav's. A network that was trained with
+    a user's own reward looks ahead with that Python code, which is run only if `trust_reward` is True or the reward's
+    name, file.py:function. Raises ConfigError if there is no such policy, DamagedFile if a run's weights, config.json
+    or run.json have changed since they were written.
     """
     if str(name_or_path) in POLICIES:
         return POLICIES[str(name_or_path)]

@@ -25,8 +25,7 @@ from sfmrl.episodes import Record, play_episodes
 from sfmrl.evaluation import evaluation_record
 from sfmrl.exploration import remember
 from sfmrl.fast import as_fast, kernels
-from sfmrl.fast.explorer import Explorer
-from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
+from sfmrl.imitation import Fit, demonstrate, fill_memory, fit_memory, make_memory
 from sfmrl.learning import OPTIMIZERS, Learner, learn
 from sfmrl.lookahead import ACTIONS, SarlPolicy, available_cores
 from sfmrl.network import ValueNetwork
@@ -34,7 +33,8 @@ from sfmrl.policies import orca_policy
 from sfmrl.recovery import RecoveringPolicy
 from sfmrl.recovery.planner import plan
 from sfmrl.runs.create import create_run, start_run
-from sfmrl.runs.progress import StopSignal, no_progress
+from sfmrl.runs.explorer import Explorer
+from sfmrl.runs.progress import StopSignal
 from sfmrl.runs.training import run_imitation, run_reinforcement
 from sfmrl.scenes import BARRIER, Scenes, sample_scenes
 from sfmrl.variants import make_config
@@ -265,9 +265,9 @@ def episodes_of_training() -> None:
 
 def taught(config: Config) -> Learner:
     """A learner after imitation."""
-    memory, fit = make_memory(config), new_fit(config)
-    fill_memory(memory, demonstrate(config, no_progress), config)
-    fit_memory(fit, memory, no_progress, lambda row: None)
+    memory, fit = make_memory(config), Fit(config)
+    fill_memory(memory, demonstrate(config), config)
+    fit_memory(fit, memory, lambda row: None)
     return Learner(fit.network, memory, config)
 
 

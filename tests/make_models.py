@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from sfmrl.evaluation import evaluation_record, metrics
-from sfmrl.lookahead import RememberingPolicy, available_cores
+from sfmrl.lookahead import available_cores
 from sfmrl.recovery import with_recovery
+from sfmrl.recovery.remembering import RememberingPolicy
 from sfmrl.runs.bits import machine_bits
 from sfmrl.runs.folders import WEIGHTS
 from sfmrl.runs.run import open_run

@@ -1,4 +1,4 @@
-"""Training episodes on a process of their own: the same episodes, whatever becomes of that process."""
+"""Training episodes on a second process: the same episodes as on the first, even if the second is killed."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ from conftest import environment
 
 from sfmrl.exploration import Explored
 from sfmrl.fast import FastNetwork, new_network
-from sfmrl.fast.explorer import Explorer
+from sfmrl.runs.explorer import Explorer
 from sfmrl.variants import make_config
 
 CONFIG = make_config("quick", simulation={"time_limit": 6.0}, reinforcement={"environment": "1"})
@@ -61,7 +61,7 @@ def test_the_work_of_a_process_that_was_killed_is_done_here(actor, aside, busy):
 
 
 TRAINING = """
-from sfmrl.fast.explorer import Explorer
+from sfmrl.runs.explorer import Explorer
 from sfmrl.fast import new_network
 from sfmrl.variants import make_config
 
@@ -75,7 +75,7 @@ if __name__ == "__main__":
 
 
 def is_there(process: int) -> bool:
-    """Whether a process exists and runs; one that has ended may wait for somebody to ask how."""
+    """Whether a process is running; it may exist as a zombie after its end."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:

@@ -15,10 +15,10 @@ from sfmrl.episodes import Record, play, returns_of
 from sfmrl.evaluation import evaluate
 from sfmrl.exploration import epsilon, explore, remember
 from sfmrl.fast import FastNetwork, new_network
-from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
-from sfmrl.learning import OPTIMIZERS, Fit, Learner, Memory, forget, generator_state, learn, set_generator_state
+from sfmrl.fast.optimizers import OPTIMIZERS, forget
+from sfmrl.imitation import Fit, demonstrate, fill_memory, fit_memory, make_memory
+from sfmrl.learning import Learner, Memory, learn
 from sfmrl.lookahead import SarlPolicy
-from sfmrl.runs.progress import no_progress
 from sfmrl.runs.training import due, needs_fit
 from sfmrl.scenes import sample_scenes
 from sfmrl.states import robot_states
@@ -82,11 +82,14 @@ def test_forgetting_spares_denormal_numbers_and_changes_no_parameter(name):
 
 
 @settings(max_examples=100)
-@given(st.integers(1, 12), st.lists(st.integers(0, 15), max_size=8))
-def test_memory_keeps_the_newest_as_a_deque_does(capacity, pushes):
+@given(st.integers(1, 12), st.lists(st.integers(0, 15), max_size=8), st.integers(0, 8))
+def test_memory_keeps_the_newest_as_a_deque_does_also_after_it_was_saved(capacity, pushes, saved_after):
     memory, expected = Memory(capacity, 1), deque(maxlen=capacity)
     number = 0
-    for count in pushes:
+    for pushed, count in enumerate(pushes):
+        if pushed == saved_after:
+            saved, memory = memory.state_dict(), Memory(capacity, 1)
+            memory.load_state_dict(saved)
         values = np.arange(number, number + count, dtype=np.float32)
         states = np.repeat(values, 13).reshape(count, 1, 13)
         memory.push(states, values)
@@ -108,18 +111,6 @@ def test_memory_fills_up_with_absent_elements_that_change_no_value():
     np.testing.assert_allclose(network.evaluate(stored)[0], network.evaluate(states)[0], atol=1e-6)
 
 
-def test_memory_goes_on_from_what_it_saved():
-    one = Memory(5, 3)
-    for seed in range(3):
-        one.push(*random_batch(seed, count=3))
-    other = Memory(5, 3)
-    other.load_state_dict(one.state_dict())
-    for memory in (one, other):
-        memory.push(*random_batch(9, count=2))
-    for a, b in zip(one.take(np.arange(5)), other.take(np.arange(5)), strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
 @pytest.mark.parametrize("forces", [False, True])
 def test_every_other_state_of_a_batch_is_that_of_the_mirrored_world(forces):
     rng = np.random.default_rng(2)
@@ -139,11 +130,18 @@ def test_every_other_state_of_a_batch_is_that_of_the_mirrored_world(forces):
     np.testing.assert_array_equal(memory.states, plain)
 
 
-def test_a_generator_s_state_goes_through_text():
-    one, other = np.random.default_rng(3), np.random.default_rng(4)
-    one.random(5)
-    set_generator_state(other, generator_state(one))
-    np.testing.assert_array_equal(one.random(7), other.random(7))
+def test_a_fit_goes_on_to_the_same_bits_from_what_it_saved():
+    config, memory = Config(imitation=Imitation(batch_size=10, epochs=2)), Memory(25, 3)
+    memory.push(*random_batch(0, count=25))
+    whole, resumed = Fit(config), Fit(config)
+    fit_memory(whole, memory, lambda row: None)
+    resumed.run_epoch(memory, lambda count: None)
+    saved = resumed.state_dict()
+    resumed = Fit(override(config, {"seed": 1}))
+    resumed.load_state_dict(saved)
+    assert resumed.batches_left(memory) == 3
+    fit_memory(resumed, memory, lambda row: None)
+    np.testing.assert_array_equal(resumed.network.flat, whole.network.flat)
 
 
 def test_an_epoch_takes_every_state_once_in_another_order_each_time(monkeypatch):
@@ -153,11 +151,11 @@ def test_an_epoch_takes_every_state_once_in_another_order_each_time(monkeypatch)
         seen.append(values.tolist())
         return 0.0
 
-    monkeypatch.setattr("sfmrl.learning.learn", note)
+    monkeypatch.setattr("sfmrl.imitation.learn", note)
     memory = Memory(25, 3)
     states, _ = random_batch(0, count=25)
     memory.push(states, np.arange(25, dtype=np.float32))
-    fit = Fit(plain_network(), Config(imitation=Imitation(batch_size=10, epochs=2)), np.random.default_rng(0))
+    fit = Fit(Config(imitation=Imitation(batch_size=10, epochs=2)))
     fit.run_epoch(memory, lambda count: None)
     fit.run_epoch(memory, lambda count: None)
     assert [len(batch) for batch in seen] == [10, 10, 5] * 2
@@ -284,9 +282,14 @@ def test_without_exploration_every_action_is_the_network_s():
     np.testing.assert_array_equal(policy(worlds, moves), record.transition.velocity[record.played])
 
 
-def test_nothing_in_memory_means_nothing_to_learn():
+def test_time_outs_alone_leave_the_memory_empty_and_nothing_to_learn():
     config = tiny_config()
     learner = Learner(plain_network(), make_memory(config), config)
+    record, random_steps = played(config)
+    late = record.outcome == "timeout"
+    remember(learner, record.take(late), random_steps[late])
+    assert len(learner.memory) == 0
+    assert learner.failed
     before = learner.network.flat.copy()
     assert math.isnan(learner.learn(3))
     np.testing.assert_array_equal(learner.network.flat, before)
@@ -297,23 +300,23 @@ def test_imitation_improves_on_the_untrained_network():
     schedule = {"episodes": 60, "epochs": 6, "batch_size": 50}
     config = override(make_config("quick", imitation=schedule), {"value_prior": False})
     memory, held_out = make_memory(config), make_memory(config)
-    fill_memory(memory, demonstrate(config, no_progress), config)
-    fill_memory(held_out, demonstrate(override(config, {"seed": 1}), no_progress), config)
+    fill_memory(memory, demonstrate(config), config)
+    fill_memory(held_out, demonstrate(override(config, {"seed": 1})), config)
     states, values = held_out.take(np.arange(len(held_out)))
 
     def held_out_error(network: FastNetwork) -> float:
         return float(np.mean((network.evaluate(states)[0] - values) ** 2))
 
-    fit = new_fit(config)
+    fit = Fit(config)
     before = held_out_error(fit.network)
     rows = []
-    fit_memory(fit, memory, no_progress, rows.append)
+    fit_memory(fit, memory, rows.append)
     assert held_out_error(fit.network) < before / 2
     assert rows[-1]["loss"] < rows[0]["loss"] / 2
 
     task = {"environment": "circle", "episodes": 12, "simulation": Simulation(time_limit=15.0)}
     fitted = evaluate(SarlPolicy(fit.network, config), **task)
-    untrained = evaluate(SarlPolicy(new_fit(config).network, config), **task)
+    untrained = evaluate(SarlPolicy(Fit(config).network, config), **task)
     assert fitted["success"] >= untrained["success"] + 0.5
 
 

@@ -1,4 +1,4 @@
-"""Policies beyond what playing shows: the 81 actions, and passing over actions that lead into a trap."""
+"""The 81 actions, SARL's care (collisions, traps, nothing within reach), and the policy that goes straight."""
 
 import numpy as np
 import pytest

@@ -172,7 +172,7 @@ def test_demonstrations_are_read_as_they_were_played_also_from_a_file_of_sfmrl_0
     with np.load(folder / DEMONSTRATIONS) as arrays:
         kept = {name.removeprefix("transition.") for name in arrays if name.startswith("transition.")}
     assert kept == {"time", "velocity", "preferred_velocity", "goal_distance", "separations", "outcome"}
-    read, played = load_demonstrations(folder / DEMONSTRATIONS, TINY.simulation), demonstrate(TINY, no_progress)
+    read, played = load_demonstrations(folder / DEMONSTRATIONS, TINY.simulation), demonstrate(TINY)
     for name, values in vars(played.transition).items():
         np.testing.assert_array_equal(getattr(read.transition, name), values, err_msg=name)
         assert getattr(read.transition, name).dtype == values.dtype

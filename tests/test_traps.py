@@ -44,7 +44,7 @@ def test_the_best_action_that_is_no_trap_is_found_wherever_there_is_one():
 
 
 def squeezed(episodes: int, seed: int):
-    """Worlds with seven people near the robot, who do not see it and come its way, and what they are about to do."""
+    """Worlds with seven people who walk towards the robot without seeing it, and everybody's next velocities."""
     rng = np.random.default_rng(seed)
     angle, reach = rng.uniform(0, 2 * np.pi, (episodes, 7)), rng.uniform(0.7, 1.8, (episodes, 7))
     around = reach[..., None] * np.stack((np.cos(angle), np.sin(angle)), -1)
@@ -57,7 +57,7 @@ def squeezed(episodes: int, seed: int):
 
 
 def has_way_out(world, actions: np.ndarray, steps: int) -> bool:
-    """Whether a sequence of so many actions has no collision, by trying them all, for a world of one episode."""
+    """Whether any sequence of `steps` actions has no collision, by brute force, for a world of one episode."""
     for sequence in product(actions, repeat=steps):
         at = world
         for action in sequence:

@@ -63,8 +63,12 @@ def _play(policies: Sequence[Any], config: Config, **test: Any) -> list[Any]:
     from sfmrl.evaluation import evaluation_record
     from sfmrl.runs.progress import show_progress
 
-    test |= {"simulation": config.simulation, "reward": config.reward, "progress": show_progress(err)}
-    return [evaluation_record(policy, **test) for policy in policies]
+    test |= {"simulation": config.simulation, "reward": config.reward}
+    records = []
+    for policy in policies:
+        with show_progress(err)("test", test["episodes"]) as advance:
+            records.append(evaluation_record(policy, **test, progress=advance))
+    return records
 
 
 def _title(map_file: Path | None, environment: str, crowd: str, episodes: int, seed: int) -> str:

@@ -1,4 +1,4 @@
-"""The network in NumPy, fast: what plays and learns. `sfmrl.network` defines it; OpenBLAS is set to one thread."""
+"""The network in NumPy, which plays and learns, as `sfmrl.network` defines it. OpenBLAS is set to one thread."""
 
 from typing import Any
 
@@ -14,5 +14,5 @@ def new_network(config: Config, seed: int = 0, sizes: Sizes = Sizes()) -> FastNe
 
 
 def as_fast(network: Any) -> FastNetwork:
-    """The network itself, or for a `ValueNetwork` the same in NumPy, with a copy of its parameters."""
+    """A `FastNetwork` as it is; a `ValueNetwork` as a `FastNetwork` with a copy of its parameters."""
     return network if isinstance(network, FastNetwork) else FastNetwork(network.state_dict(), network.value_prior)

@@ -1,11 +1,10 @@
-"""OpenBLAS, which multiplies NumPy's matrices, on one thread in each of ours.
+"""OpenBLAS, NumPy's library for matrix products: importing `sfmrl.fast` sets it to one thread, in the whole process.
 
-The products are too small for several threads of OpenBLAS, and the bits would depend on their number. So importing
-`sfmrl.fast` sets OpenBLAS to one thread, by a call to the library that NumPy has loaded. It works in a notebook, too,
-where NumPy was imported first. The command also sets OPENBLAS_NUM_THREADS before it imports NumPy, unless you have set
-it, so that no other threads are started. The setting holds for the whole process: for large products of your own, raise
-it afterwards (threadpoolctl's `threadpool_limits` does), and set it back before you play or train. If your NumPy uses
-another library, set that library's variable to 1, such as MKL_NUM_THREADS or VECLIB_MAXIMUM_THREADS.
+The network's products are too small for several threads of OpenBLAS, and the bits would depend on their number. (The
+command also sets OPENBLAS_NUM_THREADS, unless you have, before it imports NumPy, so that no thread is started.) For
+large products of your own raise the number afterwards, as with threadpoolctl's `threadpool_limits`, and set it back
+before you play or train. If your NumPy uses another library, set its variable to 1: MKL_NUM_THREADS,
+VECLIB_MAXIMUM_THREADS.
 """
 
 import ctypes
@@ -18,7 +17,7 @@ import numpy as np
 def _openblas(function: str) -> Any:
     """A function of the OpenBLAS that NumPy uses, by its name without "openblas_"; None without OpenBLAS."""
     folder = Path(np.__file__).parent
-    # Functions are found through NumPy's own library, which is linked to OpenBLAS; on Windows, in OpenBLAS itself.
+    # NumPy's own library is linked to OpenBLAS and finds its functions; on Windows, OpenBLAS itself is asked.
     for file in (*folder.glob("*core/_multiarray_umath*"), *folder.parent.glob("numpy.libs/*openblas*")):
         try:
             library = ctypes.CDLL(str(file))
@@ -31,7 +30,7 @@ def _openblas(function: str) -> Any:
 
 
 def kernels() -> str:
-    """Which of OpenBLAS's kernels NumPy uses here, as "Haswell" or "SkylakeX"; "unknown" without OpenBLAS."""
+    """The name of OpenBLAS's kernels for this processor, as "Haswell" or "SkylakeX"; "unknown" without OpenBLAS."""
     name = _openblas("get_corename")
     if name is None:
         return "unknown"

@@ -1,4 +1,4 @@
-"""SARL's layers: how many units they have, the names and shapes of their parameters, and parameters to begin with."""
+"""SARL's layers: their numbers of units, and the names, shapes and first values of their parameters."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ Parameters = dict[str, np.ndarray]  # by CrowdNav's names
 
 
 class Sizes(NamedTuple):
-    """How many units the layers of each part have; the defaults are the paper's and CrowdNav's."""
+    """Numbers of units in the layers of each part; the defaults are the paper's and CrowdNav's."""
 
     mlp1: tuple[int, ...] = (150, 100)
     mlp2: tuple[int, ...] = (100, 50)
@@ -19,7 +19,7 @@ class Sizes(NamedTuple):
 
 
 def layer_shapes(forces: bool, sizes: Sizes = Sizes()) -> dict[str, tuple[int, ...]]:
-    """The shapes of the parameters by CrowdNav's names, weights (out, in), of a network with layers of these sizes."""
+    """The shapes of the parameters by CrowdNav's names; those of weights are (out, in)."""
     hidden, own = sizes.mlp1[-1], len(OWN) + 2 * forces
     inputs = Sizes(len(column_names(forces)), hidden, 2 * hidden, own + sizes.mlp2[-1])
     shapes: dict[str, tuple[int, ...]] = {}
@@ -30,10 +30,10 @@ def layer_shapes(forces: bool, sizes: Sizes = Sizes()) -> dict[str, tuple[int, .
 
 
 def drawn_parameters(forces: bool, seed: int, sizes: Sizes = Sizes()) -> Parameters:
-    """New parameters, weights (out, in), drawn uniformly within 1 / sqrt(fan in) as torch's layers are."""
+    """New parameters by name, drawn uniformly within 1 / sqrt(fan in) as torch's layers are."""
     rng = np.random.default_rng(seed)
-    found, bound = {}, 1.0
+    parameters, bound = {}, 1.0
     for name, shape in layer_shapes(forces, sizes).items():
-        bound = shape[1] ** -0.5 if len(shape) == 2 else bound  # a bias follows its weights
-        found[name] = rng.uniform(-bound, bound, shape).astype(np.float32)
-    return found
+        bound = shape[1] ** -0.5 if len(shape) == 2 else bound  # a bias has the bound of the weights before it
+        parameters[name] = rng.uniform(-bound, bound, shape).astype(np.float32)
+    return parameters

@@ -8,11 +8,11 @@ from sfmrl.fast.network import FastNetwork
 
 MOMENTUM = 0.9  # of SGD, as in the paper
 MEAN, SQUARE, TINY = 0.9, 0.999, 1e-8  # of Adam, as its authors suggest
-FORGOTTEN = 1e-20  # a mean gradient too small to move a parameter; hundreds of steps later it would be denormal
+NEGLIGIBLE = 1e-20  # a mean gradient too small to move a parameter; hundreds of steps later it would be denormal
 
 
 class SGD:
-    """Descent along the running sum of gradients, each step's weighing `MOMENTUM` less at the next (Polyak, 1964)."""
+    """Descent along a sum of the gradients that decays by the factor `MOMENTUM` at each step (Polyak, 1964)."""
 
     falls = False  # whether the learning rate falls to 0 over a training, in a straight line
 
@@ -22,7 +22,7 @@ class SGD:
         self.steps = 0
 
     def rate(self, highest: float, progress: float) -> float:
-        """The learning rate after `progress`, from 0 to 1, of a training."""
+        """The learning rate at a `progress` from 0 to 1 of a training."""
         return highest * (1.0 - progress) if self.falls else highest
 
     def step(self, rate: float) -> None:
@@ -34,16 +34,16 @@ class SGD:
         self.steps += 1
 
     def state_dict(self) -> dict[str, Any]:
-        """What it has to keep to go on."""
+        """What a checkpoint stores."""
         return {"moments": self.moments, "steps": self.steps}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Take back what `state_dict` gave."""
+        """Restore what `state_dict` returned."""
         self.moments, self.steps = saved["moments"], saved["steps"]
 
 
 class Adam(SGD):
-    """Descent along the running mean of gradients over the root of that of their squares (Kingma and Ba, 2015)."""
+    """Descent along the mean of the gradients over the root of the mean of their squares (Kingma and Ba, 2015)."""
 
     falls = True
 
@@ -74,10 +74,10 @@ OPTIMIZERS: dict[str, type[SGD]] = {"sgd": SGD, "adam": Adam}
 
 
 def forget(optimizer: SGD) -> None:
-    """Take what is left of gradients long past out of an optimizer's running means; to be done every few hundred steps.
+    """Zero the negligible entries of an optimizer's mean gradient; to be called every few hundred steps.
 
-    A unit that is no longer active has no gradient, and its mean falls until it is denormal, which processors are slow
-    with: a tenth of the parameters made a step of Adam more than twice as slow.
+    A unit that is never active again has no gradient, and its mean decays until it is denormal, which processors are
+    slow with: with a tenth of the parameters denormal, a step of Adam took more than twice as long.
     """
     mean = optimizer.moments[0]
-    mean[np.abs(mean) < FORGOTTEN] = 0.0
+    mean[np.abs(mean) < NEGLIGIBLE] = 0.0

@@ -79,14 +79,16 @@ class Rerun:
         """Play test episodes as a training plays them at its end."""
         network, _ = load_weights(run.folder / weights)
         policy, settings = SarlPolicy(network, run.config, self.threads), run.config.reinforcement
-        return evaluation_record(
-            with_recovery(policy, run.config.planner) if recover else policy,
-            environment=settings.test_environment,
-            episodes=min(self.episodes, settings.test_episodes),
-            seed=EVALUATION_SEED,
-            simulation=run.config.simulation,
-            progress=self.progress,
-        )
+        episodes = min(self.episodes, settings.test_episodes)
+        with self.progress("test", episodes) as advance:
+            return evaluation_record(
+                with_recovery(policy, run.config.planner) if recover else policy,
+                environment=settings.test_environment,
+                episodes=episodes,
+                seed=EVALUATION_SEED,
+                simulation=run.config.simulation,
+                progress=advance,
+            )
 
     def _differ(self, outcome: np.ndarray, outcome_again: np.ndarray, steps: np.ndarray, steps_again: np.ndarray):
         """Return which episodes (n,) ended otherwise; raises Disagreement where times differ too much."""

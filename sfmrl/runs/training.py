@@ -9,14 +9,15 @@ from sfmrl.config import Config, Reinforcement
 from sfmrl.episodes import Record
 from sfmrl.evaluation import episode_rows, evaluation_record, metrics
 from sfmrl.fast import FastNetwork
-from sfmrl.fast.explorer import Explorer
-from sfmrl.imitation import demonstrate, fill_memory, fit_memory, make_memory, new_fit
+from sfmrl.imitation import Fit, demonstrate, fill_memory, fit_memory, make_memory
 from sfmrl.learning import Learner, Memory
-from sfmrl.lookahead import Policy, RememberingPolicy, SarlPolicy
+from sfmrl.lookahead import Policy, SarlPolicy
 from sfmrl.recovery import with_recovery
+from sfmrl.recovery.remembering import RememberingPolicy
 from sfmrl.reinforcement import reinforce
 from sfmrl.runs.bits import machine_bits
 from sfmrl.runs.demonstrations import load_demonstrations, save_demonstrations
+from sfmrl.runs.explorer import Explorer
 from sfmrl.runs.files import DamagedFile, digest_of, read_sums
 from sfmrl.runs.folders import BEST, DEMONSTRATIONS, WEIGHTS
 from sfmrl.runs.progress import Interrupted, Progress, StopSignal, no_progress
@@ -34,10 +35,11 @@ def run_imitation(run: Run, progress: Progress, stop: StopSignal) -> FastNetwork
     config = run.config
     path = run.folder / DEMONSTRATIONS
     if not path.exists():
-        save_demonstrations(demonstrate(config, stop.watch(progress)), path)
+        with stop.watch(progress)("demonstrations", config.imitation.episodes) as advance:
+            save_demonstrations(demonstrate(config, advance), path)
     memory = make_memory(config)
     fill_memory(memory, load_demonstrations(path, config.simulation), config)
-    fit = new_fit(config)
+    fit = Fit(config)
     saved = run.load_checkpoint()
     rows = []
     if saved:
@@ -53,7 +55,8 @@ def run_imitation(run: Run, progress: Progress, stop: StopSignal) -> FastNetwork
             raise Interrupted
 
     run.write_table("metrics.csv", rows)  # a killed run has appended rows since its checkpoint
-    fit_memory(fit, memory, progress, save_epoch)
+    with progress("imitation", fit.batches_left(memory)) as advance:
+        fit_memory(fit, memory, save_epoch, advance)
     run.finish(fit.network)
     return fit.network
 
@@ -106,7 +109,7 @@ def begin(run: Run, progress: Progress, stop: StopSignal, say: Callable[[str], N
         parameters = load_weights(path)[0].state_dict()
         return Learner(network_from(parameters, str(path), config.value_prior), memory, config)
     if run.imitation is None:
-        return Learner(new_fit(config).network, memory, config)
+        return Learner(Fit(config).network, memory, config)
     fill_memory(memory, load_demonstrations(_demonstrations_of(run), config.simulation), config)
     network, trained = load_weights(run.imitation / WEIGHTS)
     if needs_fit(trained, config):
@@ -146,7 +149,7 @@ def _fit_again(
     say: Callable[[str], None],
 ) -> FastNetwork:
     """Fit a network with this run's state to the demonstrations in `memory`, from checkpoint `saved` if any."""
-    fit = new_fit(run.config)
+    fit = Fit(run.config)
     if saved:
         with run.restoring():
             fit.load_state_dict(saved["fit"])
@@ -159,7 +162,8 @@ def _fit_again(
         if stop.requested:
             raise Interrupted
 
-    fit_memory(fit, memory, progress, save_epoch)
+    with progress("imitation", fit.batches_left(memory)) as advance:
+        fit_memory(fit, memory, save_epoch, advance)
     return fit.network
 
 
@@ -170,7 +174,7 @@ def train_stretch(
     settings = run.config.reinforcement
     until = min(settings.validation_interval * (learner.episode // settings.validation_interval + 1), settings.episodes)
     saved_at = time.monotonic()
-    for record, loss in reinforce(learner, explorer, until):
+    for record, loss in reinforce(learner, explorer.start, until):
         first = learner.episode - len(record.steps)
         rows = [
             {"episode": episode, "scene": row.pop("episode"), **row, "loss": loss}
@@ -230,15 +234,16 @@ def test(run: Run, learner: Learner, progress: Progress, threads: int) -> dict[s
 def play(policy: Policy, phase: str, episodes: int, progress: Progress) -> Record:
     """Play validation or test episodes (`phase`) with a network; they are the same for every training seed."""
     config = policy.config
-    return evaluation_record(
-        policy,
-        environment=config.reinforcement.test_environment,
-        episodes=episodes,
-        seed=EVALUATION_SEED,
-        simulation=config.simulation,
-        phase=phase,
-        progress=progress,
-    )
+    with progress(phase, episodes) as advance:
+        return evaluation_record(
+            policy,
+            environment=config.reinforcement.test_environment,
+            episodes=episodes,
+            seed=EVALUATION_SEED,
+            simulation=config.simulation,
+            phase=phase,
+            progress=advance,
+        )
 
 
 def best_validation(validations: list[dict[str, Any]]) -> dict[str, Any]:

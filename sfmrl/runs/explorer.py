@@ -1,0 +1,80 @@
+"""Play training episodes on a second process, while the network learns from the previous ones."""
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from functools import cache, partial
+from threading import Thread
+
+import numpy as np
+
+from sfmrl.config import Config
+from sfmrl.exploration import Explored, explore
+from sfmrl.fast import FastNetwork, Sizes, new_network
+from sfmrl.lookahead import SarlPolicy
+from sfmrl.runs.progress import SIGNALS, held_back
+
+
+class Explorer:
+    """Plays training episodes with a network, on a second process if `aside`; a context manager.
+
+    Threads of one process would wait for each other between the network's many operations. If the second process is
+    killed, this one plays.
+    """
+
+    def __init__(self, config: Config, threads: int, aside: bool, sizes: Sizes = Sizes()) -> None:
+        self._given = config, threads, sizes
+        self._pool = None
+        if aside:
+            spawn = multiprocessing.get_context("spawn")  # a fork would inherit locks that threads hold
+            self._pool = ProcessPoolExecutor(1, spawn, _prepare)
+            with held_back():  # the new process inherits this, so that its imports are not interrupted
+                self._pool.submit(_policy, *self._given)  # all that takes time before the first episode
+
+    def __enter__(self) -> "Explorer":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._pool:
+            self._pool.shutdown(cancel_futures=True)
+
+    def start(self, actor: FastNetwork, *what: Sequence[int]) -> Callable[[], Explored]:
+        """Start to `explore` the episodes and scenes `what`; returns a function that waits for the result.
+
+        Without a second process, that function plays, with the actor as it then is. With one, the actor must not change
+        before that function returns.
+        """
+        work, future = partial(_explore, *self._given, actor.flat, *what), None
+        with suppress(BrokenProcessPool):
+            future = self._pool and self._pool.submit(work)
+
+        def outcome() -> Explored:
+            with suppress(BrokenProcessPool):
+                if future:
+                    return future.result()
+            return work()
+
+        return outcome
+
+
+def _prepare() -> None:
+    """In the second process: leave signals to the parent, and end when it ends."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+
+
+@cache
+def _policy(config: Config, threads: int, sizes: Sizes) -> SarlPolicy:
+    return SarlPolicy(new_network(config, sizes=sizes), config, threads)
+
+
+def _explore(config: Config, threads: int, sizes: Sizes, weights: np.ndarray, *what: Sequence[int]) -> Explored:
+    policy = _policy(config, threads, sizes)
+    policy.network.flat[:] = weights
+    return explore(policy, config, *what)
