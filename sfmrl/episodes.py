@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sfmrl.batch import Batch
-from sfmrl.config import Config, ConfigError, Reward, Simulation
+from sfmrl.config import Config, ConfigError, Reward, Simulation, counted
 from sfmrl.geometry import length
 from sfmrl.lookahead import Notes, Policy, explained, step_discount
 from sfmrl.own_code import checked_array, fault, is_write, kind, name_of, read_only, takes_two
@@ -26,7 +26,7 @@ BATCH = 256  # episodes side by side, unless a policy has its own number
 TOLERANCE = 1e-4  # m/s by which a policy may exceed v_pref: ORCA computes in float32
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Record(Batch):
     """E played episodes of up to T steps; after an episode's end, arrays are NaN and its outcome is RUNNING.
 
@@ -50,6 +50,15 @@ class Record(Batch):
     reward: np.ndarray
     discounted_return: np.ndarray
     notes: Notes = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        ends = ", ".join(f"{(self.outcome == end).sum()} {end}" for end in OUTCOMES[1:])
+        return f"Record({counted(len(self.steps), 'episode')}: {ends})"
+
+    def _repr_html_(self) -> str:
+        from sfmrl.replay.picture import record_html
+
+        return record_html(self)
 
     @property
     def outcome(self) -> np.ndarray:

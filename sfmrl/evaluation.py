@@ -16,6 +16,15 @@ from sfmrl.scenes import sample_scenes
 RATES = ("success", "collision", "timeout")
 
 
+class Metrics(dict[str, Any]):
+    """Metrics by name; a notebook shows them as a table."""
+
+    def _repr_html_(self) -> str:
+        from sfmrl.replay.picture import metrics_html
+
+        return metrics_html(self)
+
+
 def evaluate(policy: str | Policy, **how: Any) -> dict[str, Any]:
     """The `metrics` of a policy over test episodes; arguments as for `evaluation_record`."""
     policy = find_policy(policy, how.get("reward"))
@@ -51,7 +60,7 @@ def evaluation_record(
     return play_episodes(scenes, chosen, settings, simulation, discount=own.discount, progress=progress)
 
 
-def metrics(record: Record, policy: Policy | None = None) -> dict[str, Any]:
+def metrics(record: Record, policy: Policy | None = None) -> Metrics:
     """The paper's metrics of a record, and the same by environment if there are several.
 
     `success`, `collision`, `timeout` are rates, each with its 95 % Wilson interval under `intervals`;
@@ -61,7 +70,7 @@ def metrics(record: Record, policy: Policy | None = None) -> dict[str, Any]:
     """
     from sfmrl.recovery import RecoveringPolicy, solvable
 
-    result = _summary(record)
+    result = Metrics(_summary(record))
     if isinstance(policy, RecoveringPolicy):
         result["recovered"] = float(policy.helped.mean())
     names = np.unique(record.scenes.environment)

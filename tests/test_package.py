@@ -26,13 +26,18 @@ CORE = (
 WINGS = ("orca", "fast", "recovery", "maps", "runs", "replay", "study", "lessons", "cli")
 # The two that the core uses import these of its files alone.
 KERNELS = {"orca": {"geometry"}, "fast": {"config", "states"}}
-# Inside a function, where a name may be that of a map or of a trained network, or a policy one with recovery.
-LATER = {"scenes": {"maps"}, "policies": {"recovery", "runs.weights"}, "evaluation": {"recovery"}}
+# Inside a function: where a name may be that of a map or of a trained network, for recovery, and for notebooks.
+LATER = {
+    "scenes": {"maps"},
+    "policies": {"recovery", "runs.weights"},
+    "evaluation": {"recovery", "replay.picture"},
+    "episodes": {"replay.picture"},
+}
 EXTRAS = {"jobs": {"ray"}, "plots": {"matplotlib"}}  # what optional extras install, and the files that use it
 WITH_TORCH = {"network"}
 PACKAGE = sorted((ROOT / "sfmrl").rglob("*.py"))
 MODELS = sorted((ROOT / "sfmrl" / "models").iterdir())
-LAYOUTS = ROOT / "sfmrl" / "maps" / "layouts.txt"
+DATA = [ROOT / "sfmrl" / name for name in ("maps/layouts.txt", "py.typed")]
 FILES = [path for path in PACKAGE if path.parent.name != "sfmrl" or path.stem not in ("__init__", "__main__")]
 
 
@@ -145,7 +150,7 @@ def test_the_wheel_holds_sfmrl_alone_and_asks_for_four_packages(tmp_path):
         lines = archive.read(metadata).decode().splitlines()
     places = {name.partition("/")[0] for name in names}
     assert places == {"sfmrl", metadata.partition("/")[0]}
-    inner = {f"sfmrl/{path.relative_to(ROOT / 'sfmrl')}" for path in (*PACKAGE, *MODELS, LAYOUTS)}
+    inner = {f"sfmrl/{path.relative_to(ROOT / 'sfmrl')}" for path in (*PACKAGE, *MODELS, *DATA)}
     assert {name for name in names if name.startswith("sfmrl/")} == inner
     assert f"Version: {sfmrl.__version__}" in lines
     needed = [line.removeprefix("Requires-Dist: ") for line in lines if line.startswith("Requires-Dist: ")]

@@ -54,3 +54,10 @@ def test_notebooks_show_a_table_and_a_picture(record):
     assert all(name in shown for name in ("navigation time", "env. 1", "env. 2"))
     assert "<td>6</td>" in metrics_html(metrics(record))
     assert "<td>environment</td>" in scenes_html(record.scenes)
+
+
+def test_a_record_is_written_in_a_line_and_shown_in_a_notebook(record):
+    ends = ", ".join(f"{(record.outcome == end).sum()} {end}" for end in ("success", "collision", "timeout"))
+    assert repr(record) == f"Record(6 episodes: {ends})"
+    assert record._repr_html_() == record_html(record)
+    assert metrics(record)._repr_html_() == metrics_html(metrics(record))
