@@ -24,10 +24,20 @@ from sfmrl.maps import load_map
 from sfmrl.policies import load_policy
 from sfmrl.runs.create import create_run, start_run
 from sfmrl.runs.demonstrations import load_demonstrations
-from sfmrl.runs.files import SUMS, DamagedFile, append, read_checked, read_sums, write_atomically
-from sfmrl.runs.folders import DEMONSTRATIONS, LOCK, WEIGHTS, finished, in_training, locked, run_folders, unfinished
+from sfmrl.runs.files import SUMS, DamagedFile, append_rows, read_checked, read_sums, write_atomically
+from sfmrl.runs.folders import (
+    DEMONSTRATIONS,
+    LOCK,
+    WEIGHTS,
+    finished,
+    in_training,
+    locked,
+    newest_run,
+    run_folders,
+    unfinished,
+)
 from sfmrl.runs.progress import Interrupted, StopSignal, no_progress
-from sfmrl.runs.run import Run, newest_run, open_run, sole_use
+from sfmrl.runs.run import Run, open_run, sole_use
 from sfmrl.runs.training import run_imitation, run_reinforcement
 from sfmrl.runs.weights import load_weights
 from sfmrl.variants import make_config
@@ -240,7 +250,7 @@ def test_a_pipe_in_a_run_folder_is_not_waited_for(folder, name):
     ("name", "use"),
     [
         (LOCK, lambda folder: locked(folder).__enter__()),
-        ("metrics.csv", lambda folder: append(folder / "metrics.csv", b"1")),
+        ("metrics.csv", lambda folder: append_rows(folder / "metrics.csv", [{"loss": 1}])),
     ],
 )
 def test_a_pipe_that_would_be_written_to_is_not_waited_for(tmp_path, name, use):
@@ -354,13 +364,26 @@ def test_new_runs_are_named_by_kind_variant_and_seed_and_never_reused(tmp_path, 
     assert create_run("il", own, None).folder.name == "il-custom-hurry-forces-seed0"
     assert set(run_folders("rl")) == set(names)
     assert len(run_folders()) == 4
+
+
+@pytest.mark.parametrize("damage", [(b"created", b"creatad"), (b"{", b"")])
+def test_the_newest_run_is_the_newest_finished_one_and_a_damaged_one_is_skipped_and_named(
+    tmp_path, monkeypatch, damage
+):
+    monkeypatch.chdir(tmp_path)
+    said = []
+    old, new, newest = (create_run("il", Config(), None).folder for _ in range(3))
     with pytest.raises(ConfigError, match=r"no finished run.*sfmrl il"):
-        newest_run()
-    (names[1] / WEIGHTS).touch()
-    assert newest_run() == names[1]
-    (names[0] / "run.json").write_bytes((names[0] / "run.json").read_bytes().replace(b"created", b"creatad"))
-    with pytest.raises(DamagedFile, match=r"run\.json is damaged"):  # so it cannot be told which is the newest
-        newest_run()
+        newest_run(said.append)
+    for folder in (old, new):
+        (folder / WEIGHTS).touch()
+        (newest / "run.json").write_bytes((newest / "run.json").read_bytes().replace(*damage))
+        assert newest_run(said.append) == folder
+    assert said == []
+    (newest / WEIGHTS).touch()
+    assert newest_run(said.append) == new
+    assert len(said) == 1
+    assert said[0].startswith(f"{newest} is skipped: {newest / 'run.json'} is damaged")
 
 
 def test_only_a_run_or_an_empty_folder_is_ever_replaced(tmp_path):
