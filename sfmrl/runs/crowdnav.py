@@ -65,7 +65,7 @@ def unwrapped(content: Any) -> Any:
 def sarl_parameters(parameters: Any) -> Parameters:
     """The parameters of a SARL network, with layers of any size, as float32 arrays in the order of its layers.
 
-    Raises ValueError, with the reason, if they are those of another network or of none.
+    Raises ValueError, with the reason, if they are those of another network or of none, or not finite.
     """
     if not isinstance(parameters, dict):
         raise ValueError(f"it is a {type(parameters).__name__}, not parameters by name")
@@ -86,6 +86,9 @@ def sarl_parameters(parameters: Any) -> Parameters:
         if not 0 < min(array.shape) <= max(array.shape) <= MAX_UNITS:
             raise ValueError(f"{name} is {array.shape}; a layer has 1 to {MAX_UNITS} units")
         arrays[name] = array.astype(np.float32)
+        if not np.isfinite(arrays[name]).all():
+            remedy = "train it again with a smaller learning rate"
+            raise ValueError(f"{name} holds numbers that are not finite, so its training diverged; {remedy}")
     _check_shapes(arrays)
     return arrays
 

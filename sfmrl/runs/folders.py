@@ -23,11 +23,10 @@ BEST = "best.npz"  # the network of the best validation
 DEMONSTRATIONS = "demonstrations.npz"
 MAP = "map.txt"  # the map, if the run trains on one
 TABLES = ("metrics.csv", "validation.csv", "test.csv", "test-best.csv", "result.json")
-OLD = ("weights.pt", "best.pt")  # WEIGHTS and BEST in runs of versions before 0.3
 LOCK = ".lock"  # locked by the process that trains the run
 CHECKPOINT = re.compile(r"checkpoint-\d{6}\.npz")
 FIRST = ("config.json", MAP, "run.json")  # files of a new run, in this order: run.json makes a folder a run
-WRITTEN = {*FIRST, *TABLES, WEIGHTS, BEST, *OLD, DEMONSTRATIONS, SUMS}  # with checkpoints, all that a run ever writes
+WRITTEN = {*FIRST, *TABLES, WEIGHTS, BEST, DEMONSTRATIONS, SUMS, "weights.pt", "best.pt"}  # .pt: before version 0.3
 
 
 def run_folders(kind: str | None = None) -> list[Path]:

@@ -13,10 +13,8 @@ from typing import Any
 import numpy as np
 
 from sfmrl.config import Config, ConfigError, json_object
-from sfmrl.fast import FastNetwork
 from sfmrl.runs.files import DamagedFile, read_checked, read_sums, remove_checked, unlist, write_together
 from sfmrl.runs.folders import CHECKPOINT, KINDS, TABLES, WEIGHTS, finished, in_training, leftovers, locked, run_folders
-from sfmrl.runs.weights import weights_file
 
 OLDER = ("0.1.", "0.2.")  # versions whose runs have other weights and checkpoints
 KEEP = 2  # checkpoints: the newest, and one to fall back on if it is damaged
@@ -80,10 +78,10 @@ class Run:
             reason = str(error).strip().partition("\n")[0].rstrip(":")
             raise DamagedFile(f"{self.checkpoints()[-1]} is no checkpoint of this run ({reason}); delete it") from None
 
-    def finish(self, network: FastNetwork) -> None:
-        """Save the trained network, list the tables in SHA256SUMS, and delete the checkpoints."""
+    def finish(self, weights: bytes) -> None:
+        """Write the weights file, list the tables in SHA256SUMS, and delete the checkpoints."""
         tables = [name for name in TABLES if (self.folder / name).exists()]
-        write_together(self.folder, {WEIGHTS: weights_file(network, self.config)}, tables)
+        write_together(self.folder, {WEIGHTS: weights}, tables)
         remove_checked(self.checkpoints())
 
 

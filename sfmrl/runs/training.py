@@ -22,7 +22,7 @@ from sfmrl.runs.files import DamagedFile, append_rows, csv_text, digest_of, read
 from sfmrl.runs.folders import BEST, DEMONSTRATIONS, WEIGHTS
 from sfmrl.runs.progress import Progress, StopSignal, no_progress
 from sfmrl.runs.run import Run
-from sfmrl.runs.weights import load_weights, network_from, save_weights
+from sfmrl.runs.weights import load_weights, network_from, save_weights, weights_file
 from sfmrl.states import column_names
 
 CHECKPOINT_EVERY = 20.0  # seconds; saving more or less often changes no number of a training
@@ -38,7 +38,8 @@ def run_imitation(run: Run, progress: Progress, stop: StopSignal) -> None:
     if not path.exists():
         save_demonstrations(demonstrate(run.config, stop.watch(progress)), path)
     fill_memory(memory, load_demonstrations(path, run.config.simulation), run.config)
-    run.finish(fit(run, memory, run.load_checkpoint(), progress, stop))
+    network = fit(run, memory, run.load_checkpoint(), progress, stop)
+    run.finish(weights_file(network, run.config))
 
 
 def fit(run: Run, memory: Memory, saved: dict[str, Any] | None, progress: Progress, stop: StopSignal) -> FastNetwork:
@@ -82,7 +83,7 @@ def run_reinforcement(run: Run, progress: Progress, stop: StopSignal, say: Say, 
     result = test(run, learner, stop.watch(progress), threads)
     written = result | {"bits": machine_bits()}  # run.json has those of the machine on which it began
     write_text(run.folder / "result.json", json.dumps(written, indent=2) + "\n")
-    run.finish(learner.tested)
+    run.finish(weights_file(learner.tested, config))
     return result
 
 
@@ -108,7 +109,10 @@ def begin(run: Run, progress: Progress, stop: StopSignal, say: Say) -> Learner:
     elif run.imitation is None:
         network = new_fit(config).network
     else:
-        fill_memory(memory, load_demonstrations(_demonstrations_of(run), config.simulation), config)
+        path = run.imitation / DEMONSTRATIONS
+        if not path.exists() or read_sums(run.imitation).get(DEMONSTRATIONS) != run.facts["demonstrations"]:
+            raise DamagedFile(f"{path} is not what this run began with any more; put it back, or start a new run")
+        fill_memory(memory, load_demonstrations(path, config.simulation), config)
         network, trained = load_weights(run.imitation / WEIGHTS)
         if needs_fit(trained, config):
             state = f"reward {config.reward.reward} and {len(column_names(config.forces))} state columns"
@@ -125,16 +129,6 @@ def needs_fit(trained: Config, config: Config) -> bool:
     """
     names = ("forces", "value_prior") + ("discount", "reward", "imitation") * config.imitation.refit
     return any(getattr(trained, name) != getattr(config, name) for name in names)
-
-
-def _demonstrations_of(run: Run) -> Path:
-    """The demonstrations that a reinforcement run starts from; raises DamagedFile if they have gone or changed."""
-    path = run.imitation / DEMONSTRATIONS
-    if not path.exists():
-        raise DamagedFile(f"{path} is not there any more; put the imitation run back, or start a new run")
-    if read_sums(run.imitation).get(DEMONSTRATIONS) != run.facts["demonstrations"]:
-        raise DamagedFile(f"{path} is not the one this run began with; start a new run from it")
-    return path
 
 
 def train_stretch(

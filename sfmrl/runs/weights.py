@@ -15,8 +15,9 @@ from sfmrl.config import Config, ConfigError, json_object, suggest
 from sfmrl.fast import FastNetwork
 from sfmrl.policies import POLICIES
 from sfmrl.runs.crowdnav import CHECKPOINT, read_foreign, sarl_parameters, unwrapped
-from sfmrl.runs.files import DamagedFile, read_checked, read_listed, read_regular, sha256, write_atomically
-from sfmrl.runs.folders import OLD, WEIGHTS, unfinished
+from sfmrl.runs.files import DamagedFile, read_listed, read_regular, sha256, write_atomically
+from sfmrl.runs.folders import WEIGHTS, finished, unfinished
+from sfmrl.runs.run import open_run
 
 MODELS = Path(__file__).parent.parent / "models"
 
@@ -75,28 +76,17 @@ def _content(data: bytes, path: Path) -> Any:
 
 
 def network_from(parameters: Any, source: str, value_prior: bool = False) -> FastNetwork:
-    """Make a network from the parameters of a SARL network, whose shapes decide the sizes of the layers.
-
-    Raises ConfigError, naming `source` and the first layer that differs, if they are not a SARL network's, or not
-    finite.
-    """
+    """Make a network from parameters, whose shapes decide its layers' sizes; raises ConfigError, naming `source`."""
     try:
-        arrays = sarl_parameters(unwrapped(parameters))
+        return FastNetwork(sarl_parameters(unwrapped(parameters)), value_prior)
     except ValueError as error:
-        raise ConfigError(f"{source} does not hold a SARL network: {error}") from None
-    for name, array in arrays.items():
-        if not np.isfinite(array).all():
-            raise ConfigError(
-                f"{source} cannot be used: {name} holds numbers that are not finite, so its training diverged; "
-                "train it again with a smaller learning rate"
-            )
-    return FastNetwork(arrays, value_prior)
+        raise ConfigError(f"{source} holds no SARL network that can be used: {error}") from None
 
 
 def find_weights(name_or_path: str | Path) -> Path:
     """Find the weights file of a model's name, a run folder, the output folder of CrowdNav's training, or a path.
 
-    Raises ConfigError if there is none, DamagedFile if a run's run.json or config.json has been changed.
+    Raises ConfigError if there is none, or only of an earlier version; DamagedFile if a run is damaged.
     """
     models, path = model_names(), Path(name_or_path)
     if str(name_or_path) in models:
@@ -108,15 +98,14 @@ def find_weights(name_or_path: str | Path) -> Path:
         )
     if not path.is_dir():
         return path
-    is_run = (path / "run.json").exists()
-    if is_run:
-        read_checked(path / "run.json")
-        read_checked(path / "config.json")
-    for name in (WEIGHTS, OLD[0]) if is_run else (CHECKPOINT, WEIGHTS, OLD[0]):
+    if (path / "run.json").exists():
+        open_run(path)
+        if finished(path):
+            return path / WEIGHTS
+        raise ConfigError(unfinished(path))
+    for name in (CHECKPOINT, WEIGHTS):
         if (path / name).exists():
             return path / name
-    if is_run:
-        raise ConfigError(unfinished(path))
     raise ConfigError(f"{path} is not a run folder: it has neither run.json nor {WEIGHTS}; name one that has")
 
 
