@@ -8,7 +8,7 @@ import hashlib
 import io
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -21,11 +21,11 @@ class DamagedFile(Exception):
     """A file is not what was written; the text names the file and the remedy."""
 
 
-def write_together(folder: Path, files: dict[str, bytes], beside: Iterable[str] = (), *, checked: bool = True) -> None:
+def write_together(folder: Path, files: dict[str, bytes], *, checked: bool = True) -> None:
     """Write files, by name, atomically: first temporary files and fsync, then renames in the order of `files`.
 
-    With `checked`, their digests, and those of the existing files `beside`, enter SHA256SUMS in one step before the
-    first rename: a crash leaves a digest without its file, never a file without its digest. Raises OSError.
+    With `checked`, their digests enter SHA256SUMS in one step before the first rename: a crash leaves a digest without
+    its file, never a file without its digest. Raises OSError, naming a file.
     """
     temporary = {name: folder / f".{name}.{os.getpid()}.tmp" for name in files}
     try:
@@ -35,8 +35,7 @@ def write_together(folder: Path, files: dict[str, bytes], beside: Iterable[str] 
                 file.flush()
                 os.fsync(file.fileno())
         if checked:
-            sums = {name: digest_of(folder / name) for name in beside}
-            _write_sums(folder, read_sums(folder) | sums | {name: sha256(data) for name, data in files.items()})
+            _write_sums(folder, read_sums(folder) | {name: sha256(data) for name, data in files.items()})
         for name in files:
             with _naming(folder / name):
                 os.replace(temporary[name], folder / name)

@@ -79,9 +79,9 @@ class Run:
             raise DamagedFile(f"{self.checkpoints()[-1]} is no checkpoint of this run ({reason}); delete it") from None
 
     def finish(self, weights: bytes) -> None:
-        """Write the weights file, list the tables in SHA256SUMS, and delete the checkpoints."""
-        tables = [name for name in TABLES if (self.folder / name).exists()]
-        write_together(self.folder, {WEIGHTS: weights}, tables)
+        """Write the weights file, and the tables again, so that SHA256SUMS lists them; delete the checkpoints."""
+        tables = {name: (self.folder / name).read_bytes() for name in TABLES if (self.folder / name).exists()}
+        write_together(self.folder, tables | {WEIGHTS: weights})
         remove_checked(self.checkpoints())
 
 
