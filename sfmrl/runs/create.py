@@ -154,7 +154,7 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
     may differ), or a weights file: then the training starts from its network, without demonstrations and with its
     `value_prior`. `existing` is passed to `create_run`. Raises ConfigError, with what to type, if no source fits.
     """
-    check_names(config)  # now, since the missing imitation run of the next error takes minutes to make
+    check_names(config)  # first: the imitation run that the next error may ask for takes minutes to make
     if from_scratch:
         return create_run("rl", config, folder, **existing)
     if source is not None and source.is_file():

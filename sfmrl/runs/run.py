@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sfmrl.config import Config, ConfigError, json_object
-from sfmrl.runs.files import DamagedFile, read_checked, read_sums, remove_checked, unlist, write_together
+from sfmrl.runs.files import DamagedFile, read_checked, read_regular, read_sums, remove_checked, unlist, write_together
 from sfmrl.runs.folders import CHECKPOINT, KINDS, TABLES, WEIGHTS, finished, in_training, leftovers, locked, run_folders
 
 OLDER = ("0.1.", "0.2.")  # versions whose runs have other weights and checkpoints
@@ -80,7 +80,7 @@ class Run:
 
     def finish(self, weights: bytes) -> None:
         """Write the weights file, and the tables again, so that SHA256SUMS lists them; delete the checkpoints."""
-        tables = {name: (self.folder / name).read_bytes() for name in TABLES if (self.folder / name).exists()}
+        tables = {name: read_regular(self.folder / name) for name in TABLES if (self.folder / name).exists()}
         write_together(self.folder, tables | {WEIGHTS: weights})
         remove_checked(self.checkpoints())
 
