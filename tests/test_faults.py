@@ -32,7 +32,7 @@ from sfmrl.variants import make_config
 resource = pytest.importorskip("resource")  # where there is none, there is no os.fork, either
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs os.fork")
 
-IL = "il --episodes 3 --epochs 3 --batch-size 40 --time-limit 12 --threads 1 --run il --continue"
+IL = "il --episodes 3 --epochs 3 --batch-size 40 --time-limit 12 --run il --continue"
 RL = "rl --from il --map lane.txt --reward sfm --time-limit 12 --threads 1 --no-recover --episodes 4 --parallel 2"
 RL += " --batches 1 --batch-size 10 --validation-interval 2 --validation-episodes 1 --test-episodes 2 --test-best"
 RL += " --run rl --continue"

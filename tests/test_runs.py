@@ -494,7 +494,7 @@ def assert_same_results(one: Path, other: Path, names: list[str]) -> None:
 def workshop(tmp_path_factory) -> Path:
     """A folder with an imitation run `il` that was never interrupted."""
     folder = tmp_path_factory.mktemp("workshop")
-    complete(folder, "il", *IL.split(), "--run", "il", "--threads", 1)
+    complete(folder, "il", *IL.split(), "--run", "il")
     return folder
 
 
