@@ -122,11 +122,11 @@ def in_training(folder: Path) -> bool:
 
 
 def files_of_run(folder: Path) -> list[Path]:
-    """The files in a folder that a run writes, by their names, and the temporary ones that killed processes left."""
+    """The files in a folder that have the names of a run's files, or of its temporary files."""
     names = {path: TEMPORARY.sub(r"\1", path.name) for path in folder.iterdir()}
     return [path for path, name in names.items() if name in WRITTEN or CHECKPOINT.fullmatch(name)]
 
 
 def leftovers(folder: Path) -> list[Path]:
-    """The temporary files among them."""
+    """The temporary files of a run that killed processes left in its folder."""
     return [path for path in files_of_run(folder) if TEMPORARY.fullmatch(path.name)]
