@@ -63,6 +63,7 @@ def make_model(name: str, number: int, row: str, tested: Trained, folder: Path) 
     (MODELS / "SHA256SUMS").unlink()  # the card has it
     if path.exists() and json.loads(path.read_text())["sha256"] == digest:
         return
+    path.unlink(missing_ok=True)  # the card of other weights, which would be refused
     card = {
         "name": name,
         "variant": row,

@@ -7,7 +7,7 @@ import shutil
 import signal
 import stat
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ from sfmrl.variants import make_config
 resource = pytest.importorskip("resource")  # where there is none, there is no os.fork, either
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs os.fork")
 
-IL = "il --episodes 3 --epochs 3 --batch-size 40 --time-limit 12 --threads 1 --run il --continue"
+IL = "il --episodes 3 --epochs 3 --batch-size 40 --time-limit 12 --run il --continue"
 RL = "rl --from il --map lane.txt --reward sfm --time-limit 12 --threads 1 --no-recover --episodes 4 --parallel 2"
 RL += " --batches 1 --batch-size 10 --validation-interval 2 --validation-episodes 1 --test-episodes 2 --test-best"
 RL += " --run rl --continue"
@@ -112,9 +112,8 @@ def place(tmp_path_factory) -> Path:
     place.mkdir()
     (place / "lane.txt").write_text("R..1..G\n")
     config = make_config(imitation={"episodes": 1, "epochs": 1, "environment": "circle5"})
-    run_imitation(
-        create_run("il", config, place.parent / "warm"), no_progress, StopSignal()
-    )  # imports what forks then share
+    warm = create_run("il", config, place.parent / "warm")  # imports what forks then share
+    run_imitation(warm, no_progress, StopSignal())
     for name, words in (("il", IL), ("rl", RL)):
         code, operations = forked(place, command(words))
         assert code == 0, place.with_name("whole.said").read_text()
@@ -231,10 +230,18 @@ def test_a_folder_that_travels_is_whole_or_not_there(place, tmp_path):
     assert number > 5
 
 
-def flips(path: Path, count: int) -> list[tuple[int, int]]:
-    """Places of bits in a file: byte and bit."""
-    draw = random.Random(path.name)
-    return [(draw.randrange(path.stat().st_size), draw.randrange(8)) for _ in range(count)]
+def flipped(path: Path, count: int) -> Iterator[tuple[int, int]]:
+    """Write a file again and again with one bit flipped, yield its byte and bit, and put the file back in the end."""
+    whole, draw = path.read_bytes(), random.Random(path.name)
+    try:
+        for _ in range(count):
+            place, bit = draw.randrange(len(whole)), draw.randrange(8)
+            data = bytearray(whole)
+            data[place] ^= 1 << bit
+            path.write_bytes(data)
+            yield place, bit
+    finally:
+        path.write_bytes(whole)
 
 
 def row(folder: Path) -> list:
@@ -245,12 +252,12 @@ def row(folder: Path) -> list:
 def readers(folder: Path, il: Path, name: str) -> list[Callable[[], Any]]:
     """What reads a file of a run, as functions whose values can be compared."""
     run = run_folder(folder, 1, "quick", "sarl", 0)
+    if name == DEMONSTRATIONS:
+        return [lambda: load_demonstrations(il / name, Config().simulation).position.tobytes()]
     found = [lambda: open_run(run)]
     if name in TABLES or name == SUMS:
         found.append(lambda: row(folder))
-    if name == DEMONSTRATIONS:
-        found = [lambda: load_demonstrations(il / name, Config().simulation).position.tobytes()]
-    elif name not in TABLES:
+    if name not in TABLES:
         found.append(lambda: load_policy(run).network.flat.tobytes())
     return found
 
@@ -278,22 +285,16 @@ FILES = ["config.json", "run.json", "map.txt", "weights.npz", "best.npz", *TABLE
 def test_no_flipped_bit_in_a_run_s_files_goes_unnoticed(laid_out, name):
     folder, il = laid_out
     run = il if name == DEMONSTRATIONS else run_folder(folder, 1, "quick", "sarl", 0)
-    whole = (run / name).read_bytes()
     reads = readers(folder, il, name)
     right = [outcome(read) for read in reads]
     assert "refused" not in right
     assert next(verify(run, 1, None, 1, no_progress)).ok
-    try:
-        for place, bit in flips(run / name, 200):
-            data = bytearray(whole)
-            data[place] ^= 1 << bit
-            (run / name).write_bytes(data)
-            assert next(verify(run, 1, None, 1, no_progress)).ok is False, (place, bit)
-            for read, expected in zip(reads, right, strict=True):
-                assert outcome(read) in (expected, "refused"), (place, bit)
+    for flip in flipped(run / name, 200):
+        assert next(verify(run, 1, None, 1, no_progress)).ok is False, flip
+        for read, expected in zip(reads, right, strict=True):
+            assert outcome(read) in (expected, "refused"), flip
+    for _ in flipped(run / name, 1):
         list(verify(run, 1, None, 1, no_progress))  # to its end
-    finally:
-        (run / name).write_bytes(whole)
 
 
 @pytest.mark.parametrize("name", [name for name in TABLES if name != "test-best.csv"])
@@ -312,9 +313,5 @@ def test_flipped_bits_in_a_run_of_an_earlier_version_are_no_traceback(laid_out, 
     judged = {ok: {finding.what for finding in found if finding.ok is ok} for ok in (None, False)}
     assert judged == {None: {"versions", "imitation"}, False: {"tables"}}
     assert row(tmp_path) == row(laid_out[0])
-    whole = (run / name).read_bytes()
-    for place, bit in flips(run / name, 100):
-        data = bytearray(whole)
-        data[place] ^= 1 << bit
-        (run / name).write_bytes(data)
+    for _ in flipped(run / name, 100):
         outcome(lambda: row(tmp_path))

@@ -13,7 +13,7 @@ from sfmrl.policies import load_policy
 from sfmrl.runs import weights
 from sfmrl.runs.bits import machine_bits
 from sfmrl.runs.files import DamagedFile
-from sfmrl.runs.weights import load_weights, model_card, model_names, model_weights
+from sfmrl.runs.weights import find_weights, load_weights, model_card, model_names
 from sfmrl.scenes import Scenes
 from sfmrl.study.tables import TABLES
 from sfmrl.variants import make_config, variant_name
@@ -29,7 +29,7 @@ def test_there_is_a_model_for_each_row_of_both_tables():
 @pytest.mark.parametrize("name", NAMES)
 def test_a_model_is_what_its_card_says(name):
     card = model_card(name)
-    network, config = load_weights(model_weights(name))
+    network, config = load_weights(find_weights(name))
     assert len(network.flat) == card["parameters"]
     assert (config.seed, config.preset) == (card["seed"], card["preset"])
     assert config.forces == make_config(variant=card["variant"]).forces
@@ -83,7 +83,7 @@ def test_a_model_passes_one_to_three_people_anywhere(name):
 def test_a_changed_model_is_refused(tmp_path, monkeypatch):
     shutil.copytree(weights.MODELS, tmp_path / "models")
     monkeypatch.setattr(weights, "MODELS", tmp_path / "models")
-    path = model_weights(NAMES[0])
+    path = find_weights(NAMES[0])
     path.write_bytes(path.read_bytes() + b"x")
     with pytest.raises(DamagedFile, match="install sfmrl again"):
         load_policy(NAMES[0])

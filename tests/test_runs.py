@@ -24,10 +24,20 @@ from sfmrl.maps import load_map
 from sfmrl.policies import load_policy
 from sfmrl.runs.create import create_run, start_run
 from sfmrl.runs.demonstrations import load_demonstrations
-from sfmrl.runs.files import SUMS, DamagedFile, append, read_checked, read_sums, write_atomically
-from sfmrl.runs.folders import DEMONSTRATIONS, LOCK, WEIGHTS, finished, in_training, locked, run_folders, unfinished
+from sfmrl.runs.files import SUMS, DamagedFile, append_rows, read_checked, read_sums, write_atomically
+from sfmrl.runs.folders import (
+    DEMONSTRATIONS,
+    LOCK,
+    WEIGHTS,
+    finished,
+    in_training,
+    locked,
+    newest_run,
+    run_folders,
+    unfinished,
+)
 from sfmrl.runs.progress import Interrupted, StopSignal, no_progress
-from sfmrl.runs.run import Run, newest_run, open_run, sole_use
+from sfmrl.runs.run import Run, open_run, sole_use
 from sfmrl.runs.training import run_imitation, run_reinforcement
 from sfmrl.runs.weights import load_weights
 from sfmrl.variants import make_config
@@ -67,60 +77,40 @@ def flip_a_bit(path: Path) -> None:
     path.write_bytes(data)
 
 
-@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
-@pytest.mark.parametrize("call", ["fsync", "replace"])
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device", "odd"), KeyboardInterrupt()])
+@pytest.mark.parametrize("call", ["builtins.open", "os.fsync", "os.replace"])
 def test_a_failed_write_leaves_the_old_file_and_names_no_temporary_one(tmp_path, monkeypatch, call, error):
     path = tmp_path / "numbers"
     write_atomically(path, b"one")
 
-    def fail(*_) -> None:
+    def fail(*_, **__) -> None:
         raise error
 
     with monkeypatch.context() as patched:
-        patched.setattr(os, call, fail)
+        patched.setattr(call, fail)
         with pytest.raises(type(error)) as caught:
             write_atomically(path, b"two")
     if isinstance(error, OSError):
         assert Path(caught.value.filename).name in ("numbers", SUMS)
         assert caught.value.strerror == "No space left on device"
     assert read_checked(path) == b"one"
-    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([SUMS, "numbers"])
+    assert {p.name for p in tmp_path.iterdir()} == {SUMS, "numbers"}
 
 
-def test_a_file_system_that_cannot_be_written_to_is_told_by_the_file_s_own_name(tmp_path, monkeypatch):
-    def fail(*_, **__) -> None:
-        raise OSError(errno.EROFS, "Read-only file system", "odd")
-
-    monkeypatch.setattr("builtins.open", fail)
-    monkeypatch.setattr(Path, "unlink", fail)
-    with pytest.raises(OSError, match="Read-only") as caught:
-        write_atomically(tmp_path / "numbers", b"two", checked=False)
-    assert caught.value.filename == str(tmp_path / "numbers")
-
-
-def test_read_checked_names_the_file_and_its_sums(tmp_path):
-    path = tmp_path / "numbers"
-    path.write_bytes(b"one")
+def test_a_file_that_is_not_listed_is_not_trusted(tmp_path):
+    (tmp_path / "numbers").write_bytes(b"one")
     with pytest.raises(DamagedFile, match=r"numbers has no SHA-256"):
-        read_checked(path)
-    write_atomically(path, b"one")
-    flip_a_bit(path)
-    with pytest.raises(DamagedFile, match=r"numbers is damaged"):
-        read_checked(path)
-
-
-def checked_by_sha256sum(folder: Path) -> bool:
-    done = subprocess.run(["sha256sum", "--quiet", "-c", SUMS], cwd=folder, capture_output=True, check=False)
-    return done.returncode == 0
+        read_checked(tmp_path / "numbers")
 
 
 @pytest.mark.skipif(shutil.which("sha256sum") is None, reason="needs the command sha256sum")
 def test_sha256sum_can_check_a_finished_run_folder(folder):
-    assert {"config.json", "run.json", DEMONSTRATIONS, WEIGHTS} <= set(read_sums(folder))
-    assert not list(folder.glob("checkpoint-*.npz"))  # there is nothing to go on with
-    assert checked_by_sha256sum(folder)
+    assert {"config.json", "run.json", "metrics.csv", DEMONSTRATIONS, WEIGHTS} == set(read_sums(folder))
+    assert not list(folder.glob("checkpoint-*.npz"))  # nothing is left to continue from
+    check = ["sha256sum", "--quiet", "-c", SUMS]
+    assert subprocess.run(check, cwd=folder, check=False).returncode == 0
     flip_a_bit(folder / WEIGHTS)
-    assert not checked_by_sha256sum(folder)
+    assert subprocess.run(check, cwd=folder, capture_output=True, check=False).returncode == 1
 
 
 def test_a_finished_run_opens_with_its_config_and_facts(folder):
@@ -139,32 +129,27 @@ def test_a_run_of_an_older_version_is_refused_with_that_version_s_number(folder)
         open_run(folder)
 
 
-@pytest.mark.parametrize("name", ["config.json", "run.json"])
-def test_a_damaged_config_or_run_json_is_named(folder, name):
-    flip_a_bit(folder / name)
-    with pytest.raises(DamagedFile, match=rf"{name} is damaged"):
-        open_run(folder)
+READERS = {
+    "config.json": [open_run, load_policy],
+    "run.json": [open_run, load_policy],
+    SUMS: [open_run, load_policy],
+    WEIGHTS: [load_policy, lambda folder: load_weights(folder / WEIGHTS)],
+    DEMONSTRATIONS: [
+        lambda folder: load_demonstrations(folder / DEMONSTRATIONS, TINY.simulation),
+        lambda folder: run_imitation(open_run(folder), no_progress, StopSignal()),
+    ],
+}
 
 
-def test_damaged_weights_or_a_damaged_config_are_named(folder):
-    for name in ("config.json", "run.json"):
-        whole = (folder / name).read_bytes()
+@pytest.mark.parametrize("name", READERS)
+def test_a_damaged_file_is_named_by_all_that_read_it(folder, name):
+    if name == SUMS:
+        (folder / SUMS).write_bytes(b"\xff\xfe\x00 not text")
+    else:
         flip_a_bit(folder / name)
+    for read in READERS[name]:
         with pytest.raises(DamagedFile, match=rf"{name} is damaged"):
-            load_policy(folder)
-        (folder / name).write_bytes(whole)
-    flip_a_bit(folder / WEIGHTS)
-    for load in (load_policy, lambda path: load_weights(path / WEIGHTS)):
-        with pytest.raises(DamagedFile, match=rf"{WEIGHTS} is damaged"):
-            load(folder)
-
-
-def test_damaged_demonstrations_are_named(folder):
-    flip_a_bit(folder / DEMONSTRATIONS)
-    with pytest.raises(DamagedFile, match=rf"{DEMONSTRATIONS} is damaged"):
-        load_demonstrations(folder / DEMONSTRATIONS, TINY.simulation)
-    with pytest.raises(DamagedFile, match=rf"{DEMONSTRATIONS} is damaged"):
-        run_imitation(open_run(folder), no_progress, StopSignal())
+            read(folder)
 
 
 def test_demonstrations_are_read_as_they_were_played_also_from_a_file_of_sfmrl_0_1(folder):
@@ -191,30 +176,13 @@ def test_a_damaged_checkpoint_is_named_and_the_one_before_offered(interrupted):
         open_run(folder).load_checkpoint()
 
 
-def relist(*paths: Path) -> None:
-    """Let SHA256SUMS say that these files are what was written."""
-    for path in paths:
-        data = path.read_bytes()
-        write_atomically(path, data)
-
-
-ODD_JSON = [
-    "",
-    "[]",
-    "{}",
-    "3",
-    '{"kind": "il"}',
-    '{"kind": [], "reward": {"reward": []}}',
-    "[" * 100_000,
-    '{"a":' * 100_000,
-]
+ODD_JSON = ["", "[]", "{}", '{"kind": "il"}', '{"kind": [], "reward": {"reward": []}}', '{"a":' * 100_000]
 
 
 @pytest.mark.parametrize("text", ODD_JSON, ids=[text[:12] for text in ODD_JSON])
 @pytest.mark.parametrize("name", ["config.json", "run.json"])
 def test_odd_json_is_one_error_that_names_the_file(folder, monkeypatch, name, text):
-    (folder / name).write_text(text)
-    relist(folder / name)
+    write_atomically(folder / name, text.encode())
     if (name, text) != ("config.json", "{}"):  # that is the plain config
         with pytest.raises((DamagedFile, ConfigError), match=name) as error:
             open_run(folder)
@@ -225,29 +193,24 @@ def test_odd_json_is_one_error_that_names_the_file(folder, monkeypatch, name, te
     assert isinstance(greeting(), str)
 
 
+PIPES = {
+    "config.json": open_run,
+    "run.json": open_run,
+    SUMS: load_policy,
+    WEIGHTS: load_policy,
+    LOCK: lambda folder: locked(folder).__enter__(),
+    "metrics.csv": lambda folder: append_rows(folder / "metrics.csv", [{"loss": 1}]),
+}
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
-@pytest.mark.parametrize("name", ["config.json", "run.json", SUMS, WEIGHTS])
+@pytest.mark.parametrize("name", PIPES)
 def test_a_pipe_in_a_run_folder_is_not_waited_for(folder, name):
-    (folder / name).unlink()
+    (folder / name).unlink(missing_ok=True)
     os.mkfifo(folder / name)
-    read = load_policy if name in (SUMS, WEIGHTS) else open_run
+    assert not in_training(folder)
     with pytest.raises((DamagedFile, ConfigError), match=f"{name} is not a regular file|has no run.json"):
-        read(folder)
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
-@pytest.mark.parametrize(
-    ("name", "use"),
-    [
-        (LOCK, lambda folder: locked(folder).__enter__()),
-        ("metrics.csv", lambda folder: append(folder / "metrics.csv", b"1")),
-    ],
-)
-def test_a_pipe_that_would_be_written_to_is_not_waited_for(tmp_path, name, use):
-    os.mkfifo(tmp_path / name)
-    assert not in_training(tmp_path)
-    with pytest.raises(DamagedFile, match=f"{name} is not a regular file"):
-        use(tmp_path)
+        PIPES[name](folder)
 
 
 def test_a_hint_can_be_typed_whatever_the_run_is_called(tmp_path, monkeypatch):
@@ -314,35 +277,22 @@ def test_a_training_that_diverges_stops_and_names_its_learning_rate(whole, tmp_p
     assert run.load_checkpoint() is None  # there was none yet
 
 
-def test_damaged_sums_are_an_error_too(folder):
-    (folder / SUMS).write_bytes(b"\xff\xfe\x00 not text")
-    with pytest.raises(DamagedFile, match=SUMS):
-        open_run(folder)
-
-
-def test_a_damaged_checkpoint_can_be_gone_around_to_the_same_bits(interrupted, whole):
+def test_a_run_goes_on_from_the_checkpoint_before_to_the_same_bits(interrupted, whole):
     run = open_run(interrupted)
+    assert run.load_checkpoint()["fit"]["epoch"] == 3
+    assert not finished(run.folder)
     run.checkpoints()[-1].unlink()
     run_imitation(run, no_progress, StopSignal())
-    assert (run.folder / WEIGHTS).read_bytes() == (whole / WEIGHTS).read_bytes()
-    assert (run.folder / "metrics.csv").read_text() == (whole / "metrics.csv").read_text()
+    assert_same_results(run.folder, whole, [WEIGHTS, "metrics.csv"])
 
 
-def test_stopping_keeps_a_checkpoint_and_raises(tmp_path, whole):
-    run = create_run("il", TINY, tmp_path / "run")
-    stop = StopSignal()
+def test_demonstrations_that_are_stopped_leave_nothing(tmp_path):
+    run, stop = create_run("il", TINY, tmp_path / "run"), StopSignal()
     stop.requested = True
-    with pytest.raises(Interrupted):  # of demonstrations nothing is kept until all are there
+    with pytest.raises(Interrupted):
         run_imitation(run, no_progress, stop)
     assert run.load_checkpoint() is None
-    write_atomically(run.folder / DEMONSTRATIONS, (whole / DEMONSTRATIONS).read_bytes())
-    for epoch in (1, 2, 3):
-        with pytest.raises(Interrupted):
-            run_imitation(run, no_progress, stop)
-        assert run.load_checkpoint()["fit"]["epoch"] == epoch
-        assert not finished(run.folder)
-    run_imitation(run, no_progress, stop)
-    assert (run.folder / WEIGHTS).read_bytes() == (whole / WEIGHTS).read_bytes()
+    assert not (run.folder / DEMONSTRATIONS).exists()
 
 
 def test_new_runs_are_named_by_kind_variant_and_seed_and_never_reused(tmp_path, monkeypatch):
@@ -354,17 +304,30 @@ def test_new_runs_are_named_by_kind_variant_and_seed_and_never_reused(tmp_path, 
     assert create_run("il", own, None).folder.name == "il-custom-hurry-forces-seed0"
     assert set(run_folders("rl")) == set(names)
     assert len(run_folders()) == 4
+
+
+@pytest.mark.parametrize("damage", [(b"created", b"creatad"), (b"{", b"")])
+def test_the_newest_run_is_the_newest_finished_one_and_a_damaged_one_is_skipped_and_named(
+    tmp_path, monkeypatch, damage
+):
+    monkeypatch.chdir(tmp_path)
+    said = []
+    old, new, newest = (create_run("il", Config(), None).folder for _ in range(3))
     with pytest.raises(ConfigError, match=r"no finished run.*sfmrl il"):
-        newest_run()
-    (names[1] / WEIGHTS).touch()
-    assert newest_run() == names[1]
-    (names[0] / "run.json").write_bytes((names[0] / "run.json").read_bytes().replace(b"created", b"creatad"))
-    with pytest.raises(DamagedFile, match=r"run\.json is damaged"):  # so it cannot be told which is the newest
-        newest_run()
+        newest_run(said.append)
+    for folder in (old, new):
+        (folder / WEIGHTS).touch()
+        (newest / "run.json").write_bytes((newest / "run.json").read_bytes().replace(*damage))
+        assert newest_run(said.append) == folder
+    assert said == []
+    (newest / WEIGHTS).touch()
+    assert newest_run(said.append) == new
+    assert len(said) == 1
+    assert said[0].startswith(f"{newest} is skipped: {newest / 'run.json'} is damaged")
 
 
-def test_only_a_run_or_an_empty_folder_is_ever_replaced(tmp_path):
-    empty, run, other = tmp_path / "empty", tmp_path / "run", tmp_path / "other"
+def test_an_empty_folder_is_taken_and_a_run_replaced_only_with_overwrite(tmp_path):
+    empty, run = tmp_path / "empty", tmp_path / "run"
     empty.mkdir()
     assert create_run("il", Config(), empty).folder == empty
     create_run("il", Config(), run)
@@ -375,14 +338,24 @@ def test_only_a_run_or_an_empty_folder_is_ever_replaced(tmp_path):
     create_run("il", Config(), run, overwrite=True)
     assert not (run / "weights.npz").exists()
 
-    other.mkdir()
-    (other / "thesis.tex").write_text("years of work")
-    for overwrite in (False, True):
-        with pytest.raises(ConfigError, match="other"):
-            create_run("il", Config(), other, overwrite=overwrite)
-    assert (other / "thesis.tex").read_text() == "years of work"
-    with pytest.raises(ConfigError, match="thesis"):
-        create_run("il", Config(), other / "thesis.tex", overwrite=True)
+
+FOREIGN = {
+    "a thesis": {"thesis.tex": "years of work"},
+    "a run.json": {"run.json": '{"pipeline": "not ours"}', "data.csv": "1,2,3"},
+    "a config.json": {"config.json": "{}"},
+    "sums": {SUMS: f"{'0' * 64}  thesis.tex\n"},
+}
+
+
+@pytest.mark.parametrize("what", FOREIGN)
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_folder_or_file_of_somebody_else_is_never_replaced(tmp_path, what, overwrite):
+    for name, text in FOREIGN[what].items():
+        (tmp_path / name).write_text(text)
+    for place in (tmp_path, tmp_path / next(iter(FOREIGN[what]))):
+        with pytest.raises(ConfigError, match="not a run folder"):
+            create_run("il", Config(), place, overwrite=overwrite)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == FOREIGN[what]
 
 
 def test_overwriting_removes_only_what_a_run_writes(tmp_path, whole):
@@ -427,26 +400,6 @@ def test_of_two_trainings_on_one_new_folder_one_is_made_and_the_other_refused(tm
         pass
 
 
-@pytest.mark.parametrize("left", [[".config.json.12.tmp"], [SUMS], [SUMS, "config.json", ".run.json.12.tmp"]])
-def test_what_is_left_of_a_run_whose_making_was_killed_counts_as_nothing(tmp_path, left):
-    whole, folder = create_run("il", Config(), tmp_path / "whole").folder, tmp_path / "run"
-    folder.mkdir()
-    for name in left:
-        (folder / name).write_bytes((whole / name).read_bytes() if (whole / name).exists() else b"{")
-    assert create_run("il", Config(seed=1), folder).config.seed == 1
-    assert {path.name for path in folder.iterdir()} == {"config.json", "run.json", SUMS, ".lock"}
-
-
-def test_sums_of_somebody_else_s_files_are_not_what_is_left_of_a_run(tmp_path):
-    (tmp_path / SUMS).write_text(f"{'0' * 64}  thesis.tex\n")
-    with pytest.raises(ConfigError, match="not a run folder"):
-        create_run("il", Config(), tmp_path, overwrite=True)
-    (tmp_path / SUMS).unlink()
-    (tmp_path / "config.json").write_text("{}")
-    with pytest.raises(ConfigError, match="not a run folder"):
-        create_run("il", Config(), tmp_path, overwrite=True)
-
-
 def test_opening_a_run_to_train_it_tidies_what_killed_processes_left(interrupted):
     run = open_run(interrupted)
     names = {path.name for path in run.folder.iterdir()}
@@ -465,14 +418,6 @@ def test_a_run_that_trains_on_a_map_keeps_the_drawing(tmp_path):
     assert (run.folder / "map.txt").read_text() == "R..1.G\n......\n"
     assert load_map(run.folder / "map.txt") == config.reinforcement.environment
     assert "map.txt" in read_sums(run.folder)
-
-
-def test_a_folder_with_somebody_else_s_run_json_is_not_replaced(tmp_path):
-    (tmp_path / "run.json").write_text('{"pipeline": "not ours"}')
-    (tmp_path / "data.csv").write_text("1,2,3")
-    with pytest.raises(ConfigError):
-        create_run("il", Config(), tmp_path, overwrite=True)
-    assert (tmp_path / "data.csv").exists()
 
 
 def test_opening_what_is_no_run_names_those_that_are(tmp_path, monkeypatch):
@@ -501,23 +446,9 @@ def test_checkpoints_number_on_and_only_two_are_kept(tmp_path):
 
 # Trainings as real processes, killed at several moments: they must end in the bits of one that never was.
 
-SMALL = ["--time-limit", "14"]
-IL = [*SMALL, "--episodes", "30", "--epochs", "14", "--batch-size", "20"]
-RL = [
-    *SMALL,
-    "--reward",
-    "sfm",
-    "--forces",
-    "--episodes",
-    "24",
-    "--parallel",
-    "4",
-    "--batches",
-    "10",
-    "--batch-size",
-    "40",
-]
-RL += ["--validation-interval", "12", "--validation-episodes", "3", "--test-episodes", "4"]
+IL = "--time-limit 14 --episodes 30 --epochs 14 --batch-size 20"
+RL = "--time-limit 14 --reward sfm --forces --episodes 24 --parallel 4 --batches 10 --batch-size 40 "
+RL += "--validation-interval 12 --validation-episodes 3 --test-episodes 4"
 
 
 def command(*words: object) -> list[str]:
@@ -563,13 +494,13 @@ def assert_same_results(one: Path, other: Path, names: list[str]) -> None:
 def workshop(tmp_path_factory) -> Path:
     """A folder with an imitation run `il` that was never interrupted."""
     folder = tmp_path_factory.mktemp("workshop")
-    complete(folder, "il", *IL, "--run", "il", "--threads", 1)
+    complete(folder, "il", *IL.split(), "--run", "il")
     return folder
 
 
 def test_a_killed_imitation_goes_on_to_the_same_bits(workshop):
     killed = workshop / "il-killed"
-    start, go_on = ("il", *IL, "--run", "il-killed"), ("il", "--resume", "il-killed")
+    start, go_on = ("il", *IL.split(), "--run", "il-killed"), ("il", "--resume", "il-killed")
     interrupt(workshop, signal.SIGKILL, (killed / "run.json").exists, *start)
     interrupt(workshop, signal.SIGTERM, (killed / DEMONSTRATIONS).exists, *go_on)
     interrupt(workshop, signal.SIGINT, checkpoint_of_at_least(killed, 3), *go_on)
@@ -580,8 +511,8 @@ def test_a_killed_imitation_goes_on_to_the_same_bits(workshop):
 
 def test_a_killed_reinforcement_goes_on_to_the_same_bits(workshop):
     whole, killed = workshop / "rl", workshop / "rl-killed"
-    complete(workshop, "rl", *RL, "--from", "il", "--run", "rl", "--threads", 1)
-    start, go_on = ("rl", *RL, "--from", "il", "--run", "rl-killed"), ("rl", "--resume", "rl-killed")
+    complete(workshop, "rl", *RL.split(), "--from", "il", "--run", "rl", "--threads", 1)
+    start, go_on = ("rl", *RL.split(), "--from", "il", "--run", "rl-killed"), ("rl", "--resume", "rl-killed")
     metrics = killed / "metrics.csv"
     interrupt(workshop, signal.SIGINT, checkpoint_of_at_least(killed, 2), *start)  # while it repeats imitation
     interrupt(workshop, signal.SIGKILL, checkpoint_of_at_least(killed, 6), *go_on)

@@ -45,9 +45,8 @@ def test_a_weights_file_gives_back_network_and_config(tmp_path):
 def test_a_weights_file_of_an_older_version_is_refused_with_its_version(tmp_path):
     older = json.dumps(json.loads(make_config("paper").to_json()) | {"precision": "bf16", "shaping": "none"})
     torch.save({"weights": ValueNetwork().state_dict(), "config": older}, tmp_path / "weights.pt")
-    for named in (tmp_path, tmp_path / "weights.pt"):
-        with pytest.raises(ConfigError, match=r"weights.pt cannot be used: it was made by version 0.1 or 0.2"):
-            load_policy(named)
+    with pytest.raises(ConfigError, match=r"weights.pt cannot be used: it was made by version 0.1 or 0.2"):
+        load_policy(tmp_path / "weights.pt")
 
 
 def test_an_exported_network_is_a_checkpoint_that_torch_and_sfmrl_load(tmp_path):
@@ -123,103 +122,87 @@ def test_crowdnav_s_output_folder_plays_its_network_and_says_what_it_was_trained
     assert other_habits(path, robot_visible=True) == []
 
 
-def arrays(**content: object) -> bytes:
-    file = io.BytesIO()
-    np.savez(file, **content)
-    return file.getvalue()
-
-
-PARAMETERS = as_fast(ValueNetwork()).state_dict()
+LAYERS = ValueNetwork().state_dict()
+GOOD = {"weights": LAYERS, "config": Config().to_json()}
 ENDLESS = {}
 ENDLESS["state_dict"] = ENDLESS
-GOOD = {"weights": ValueNetwork().state_dict(), "config": Config().to_json()}
-FOREIGN = {
-    "empty": b"",
-    "a web page": b"\n<!DOCTYPE html><html>404</html>",
-    "a git-lfs pointer": b"version https://git-lfs.github.com/spec/v1\noid sha256:abc\n",
-    "text": b"no weights at all\n",
-    "cut in half": saved(GOOD)[: len(saved(GOOD)) // 2],
-    "a list": saved([1, 2, 3]),
-    "another dict": saved({"epoch": 3}),
-    "a tensor": saved(torch.zeros(3)),
-    "another network": saved(nn.Linear(13, 150).state_dict()),
-    "a layer too few": saved({n: v for n, v in GOOD["weights"].items() if n != "mlp3.6.bias"}),
-    "weights that are none": saved(GOOD | {"weights": 3}),
-    "a config that is no JSON": saved(GOOD | {"config": "seed = 0"}),
-    "a config that is no text": saved(GOOD | {"config": 5}),
-    "a config that is a list": saved(GOOD | {"config": "[1]"}),
-    "a config with an unknown setting": saved(GOOD | {"config": '{"sede": 1}'}),
-    "arrays of another kind": arrays(position=np.zeros(3)),
-    "arrays without a layer": arrays(config=Config().to_json(), **{"mlp1.0.weight": np.zeros((150, 13))}),
-    "arrays cut in half": (whole := arrays(config=Config().to_json(), **PARAMETERS))[: len(whole) // 2],
-    "arrays with Python objects": arrays(config=np.array([{}], dtype=object), **PARAMETERS),
-    "arrays that are not finite": arrays(config=Config().to_json(), **PARAMETERS | {"mlp3.6.bias": np.full(1, np.nan)}),
-    "arrays with a config of another width": arrays(config=Config(forces=True).to_json(), **PARAMETERS),
-}
-
-
-SAID = {  # of some of them, what they are
-    "empty": "is empty",
-    "a web page": "is a web page",
-    "a git-lfs pointer": "git lfs pull",
-    "a layer too few": "there is no mlp3.6.bias",
-    "a module": "state_dict",
-    "a layer too many": "there is extra.weight, too",
-    "CADRL": "CADRL",
-    "LSTM-RL": "LSTM-RL",
-    "OM-SARL": "OM-SARL: mlp1.0.weight reads 61 columns",
-    "attention without the mean": "with_global_state",
-    "layers that do not fit": "attention.2.weight is (100, 90), not (100, 100)",
-    "other columns": "mlp1.0.weight is (150, 12), not (150, 13)",
-    "weights that are NaN": "mlp3.6.bias holds numbers that are not finite",
-    "weights too large for float32": "mlp1.0.bias holds numbers that are not finite",
-    "a config of other columns": "reads other columns",
-}
 
 
 def altered(**layers: object) -> bytes:
     """A good network with some parameters replaced; "mlp3_6_bias" is mlp3.6.bias."""
-    return saved(GOOD["weights"] | {name.replace("_", "."): value for name, value in layers.items()})
+    return saved(LAYERS | {name.replace("_", "."): value for name, value in layers.items()})
 
 
-FOREIGN |= {
-    "a module": saved(nn.Linear(3, 3)),
-    "a layer too many": altered(extra_weight=torch.zeros(3, 3)),
-    "CADRL": saved({"value_network.0.weight": torch.zeros(150, 13)}),
-    "LSTM-RL": saved({"mlp.0.weight": torch.zeros(150, 56), "lstm.weight_ih_l0": torch.zeros(200, 13)}),
-    "OM-SARL": altered(mlp1_0_weight=torch.zeros(150, 61)),
-    "attention without the mean": altered(attention_0_weight=torch.zeros(100, 100)),
-    "layers that do not fit": altered(attention_2_weight=torch.zeros(100, 90)),
-    "other columns": altered(mlp1_0_weight=torch.zeros(150, 12)),
-    "weights that are NaN": altered(mlp3_6_bias=torch.full((1,), torch.nan)),
-    "weights too large for float32": altered(mlp1_0_bias=torch.full((150,), 1e300, dtype=torch.float64)),
-    "weights of ours that are infinite": saved(
-        GOOD | {"weights": {name: value / 0 for name, value in GOOD["weights"].items()}}
+def ours(config: object = Config().to_json(), **layers: object) -> bytes:
+    """The same as a weights file of sfmrl's."""
+    file = io.BytesIO()
+    np.savez(file, config=config, **LAYERS | {name.replace("_", "."): value for name, value in layers.items()})
+    return file.getvalue()
+
+
+FOREIGN = {  # and what is said of some of them
+    "empty": (b"", "is empty"),
+    "a web page": (b"\n<!DOCTYPE html><html>404</html>", "is a web page"),
+    "a git-lfs pointer": (b"version https://git-lfs.github.com/spec/v1\noid sha256:abc\n", "git lfs pull"),
+    "text": (b"no weights at all\n", ""),
+    "cut in half": (saved(GOOD)[: len(saved(GOOD)) // 2], ""),
+    "a list": (saved([1, 2, 3]), ""),
+    "another dict": (saved({"epoch": 3}), ""),
+    "keys that are numbers": (saved({3: torch.zeros(3)}), ""),
+    "a wrapper that holds itself": (saved(ENDLESS), ""),
+    "a tensor": (saved(torch.zeros(3)), ""),
+    "a module": (saved(nn.Linear(3, 3)), "state_dict"),
+    "another network": (saved(nn.Linear(13, 150).state_dict()), ""),
+    "a layer too few": (saved({n: v for n, v in LAYERS.items() if n != "mlp3.6.bias"}), "there is no mlp3.6.bias"),
+    "a layer too many": (altered(extra_weight=torch.zeros(3, 3)), "there is extra.weight, too"),
+    "CADRL": (saved({"value_network.0.weight": torch.zeros(150, 13)}), "CADRL"),
+    "LSTM-RL": (saved({"mlp.0.weight": torch.zeros(150, 56), "lstm.weight_ih_l0": torch.zeros(200, 13)}), "LSTM-RL"),
+    "OM-SARL": (altered(mlp1_0_weight=torch.zeros(150, 61)), "OM-SARL: mlp1.0.weight reads 61 columns"),
+    "attention without the mean": (altered(attention_0_weight=torch.zeros(100, 100)), "with_global_state"),
+    "layers that do not fit": (
+        altered(attention_2_weight=torch.zeros(100, 90)),
+        "attention.2.weight is (100, 90), not (100, 100)",
     ),
-    "a config of other columns": saved(GOOD | {"config": Config(forces=True).to_json()}),
-    "a config that is deep": saved(GOOD | {"config": '{"a":' * 100_000}),
-    "a sparse layer": altered(mlp1_0_weight=torch.zeros(150, 13).to_sparse()),
-    "a layer without numbers": altered(mlp1_0_weight=torch.zeros(150, 13, device="meta")),
-    "a layer of integers": altered(mlp1_0_weight=torch.zeros(150, 13, dtype=torch.int8)),
-    "a complex layer": altered(mlp1_0_weight=torch.zeros(150, 13, dtype=torch.complex64)),
-    "a layer that is endless": altered(mlp1_0_weight=torch.zeros(1, 1).expand(2**30, 2**30)),
-    "layers with nothing": altered(mlp1_0_weight=torch.zeros(0, 13), mlp1_0_bias=torch.zeros(0)),
-    "weights with nothing": altered(mlp1_0_weight=torch.zeros(0, 13)),
-    "a wrapper that holds itself": saved(ENDLESS),
-    "numbers for layers": saved(dict.fromkeys(GOOD["weights"], 0.5)),
-    "keys that are numbers": saved({3: torch.zeros(3)}),
+    "other columns": (altered(mlp1_0_weight=torch.zeros(150, 12)), "mlp1.0.weight is (150, 12), not (150, 13)"),
+    "a sparse layer": (altered(mlp1_0_weight=torch.zeros(150, 13).to_sparse()), ""),
+    "a layer without numbers": (altered(mlp1_0_weight=torch.zeros(150, 13, device="meta")), ""),
+    "a layer of integers": (altered(mlp1_0_weight=torch.zeros(150, 13, dtype=torch.int8)), ""),
+    "a complex layer": (altered(mlp1_0_weight=torch.zeros(150, 13, dtype=torch.complex64)), ""),
+    "a layer that is endless": (altered(mlp1_0_weight=torch.zeros(1, 1).expand(2**30, 2**30)), ""),
+    "layers with nothing": (altered(mlp1_0_weight=torch.zeros(0, 13), mlp1_0_bias=torch.zeros(0)), ""),
+    "numbers for layers": (saved(dict.fromkeys(LAYERS, 0.5)), ""),
+    "weights that are NaN": (
+        altered(mlp3_6_bias=torch.full((1,), torch.nan)),
+        "mlp3.6.bias holds numbers that are not",
+    ),
+    "weights too large for float32": (
+        altered(mlp1_0_bias=torch.full((150,), 1e300, dtype=torch.float64)),
+        "mlp1.0.bias holds numbers that are not finite",
+    ),
+    "weights that are none": (saved(GOOD | {"weights": 3}), ""),
+    "a config that is no JSON": (ours("seed = 0"), "the config in"),
+    "a config that is no text": (saved(GOOD | {"config": 5}), "the config in"),
+    "a config that is a list": (ours("[1]"), "the config in"),
+    "a config with an unknown setting": (ours('{"sede": 1}'), "did you mean seed"),
+    "a config that is deep": (ours('{"a":' * 100_000), "the config in"),
+    "a config of other columns": (ours(Config(forces=True).to_json()), "reads other columns"),
+    "ours that is cut in half": (ours()[: len(ours()) // 2], ""),
+    "ours without a config": (ours().replace(b"config.npy", b"confyg.npy"), ""),
+    "ours with Python objects": (ours(np.array([{}], dtype=object)), ""),
+    "ours with a layer of integers": (ours(mlp3_6_bias=np.zeros(1, int)), "mlp3.6.bias is not a plain tensor"),
+    "ours that is not finite": (ours(mlp3_6_bias=np.full(1, np.nan)), "mlp3.6.bias holds numbers that are not finite"),
 }
 
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("what", FOREIGN)
 def test_files_that_hold_no_sarl_network_are_named_in_one_line(tmp_path, what):
-    path = tmp_path / "some.pt"
-    path.write_bytes(FOREIGN[what])
+    path, (data, said) = tmp_path / "some.pt", FOREIGN[what]
+    path.write_bytes(data)
     with pytest.raises(ConfigError, match=r"some\.pt") as error:
         load_policy(path)
     assert "\n" not in str(error.value)
-    assert SAID.get(what, "") in str(error.value)
+    assert said in str(error.value)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")

@@ -7,7 +7,7 @@ from typing import Any
 
 from sfmrl.cli.console import err, say
 from sfmrl.config import Config, ConfigError, counted, override
-from sfmrl.runs.folders import as_words, finished
+from sfmrl.runs.folders import as_words, finished, newest_run
 from sfmrl.variants import make_config
 
 
@@ -103,10 +103,9 @@ def choose(
     """
     from sfmrl.policies import POLICIES, load_policy
     from sfmrl.recovery import with_recovery
-    from sfmrl.runs.run import newest_run
     from sfmrl.runs.weights import find_weights, model_names
 
-    name = policy or str(newest_run())
+    name = policy or str(newest_run(say))
     if not policy:
         say(f"policy: {name}")
     trust = trust_reward or settings.get("reward", {}).get("reward", False)

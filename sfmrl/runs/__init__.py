@@ -10,8 +10,8 @@
 Files are written whole or not at all, and their digests enter SHA256SUMS with them; those of the tables, which grow
 during the training, enter at its end. A continued run starts from its newest checkpoint.
 
-`files` writes and checks single files. `folders` says which runs there are, `run` opens one, `create` makes one.
-`weights` and `crowdnav` read and write networks, `demonstrations` trajectories. `training` runs the algorithms,
-`explorer` plays their episodes on a second process, and `progress` shows how far they are.
-Import from these modules. This one imports nothing, so that `sfmrl --help` and shell completion do without NumPy.
+`files` writes and checks files. `folders` lists runs, `run` opens one, `create` makes one. `weights` and `crowdnav`
+read and write networks, `demonstrations` trajectories. `training` runs the algorithms, `explorer` plays their episodes
+on a second process, `progress` reports on them.
+This module imports nothing, so that `sfmrl --help` and shell completion do without NumPy.
 """

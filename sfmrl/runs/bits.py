@@ -1,9 +1,9 @@
 """What the numbers of a run depend on beyond its config: versions, and the bits that this machine computes.
 
-Processors and libraries add numbers in different orders, so the same training ends in other last digits on another
-machine. Neither the processor's name nor equal versions tell whether it does; `machine_bits`, a digest of small
-computations, does. Compare it before you compare numbers to the last digit. It uses no code of the simulator or the
-network, so a change to these does not change it.
+Processors and libraries add numbers in different orders, so the same training can end in other last digits on another
+machine, even with the same versions. `machine_bits`, a digest of small computations, shows whether it does; compare it
+before you compare numbers to the last digit. It uses no code of the simulator or the network, so that it does not
+change with them.
 """
 
 import hashlib
@@ -40,11 +40,9 @@ def machine_bits() -> str:
 
 
 def _functions() -> Iterator[np.ndarray]:
-    """Values of the functions that simulator, states and network use.
-
-    1,001 numbers are not a multiple of any vector register's length, so the code for the remainder runs, too.
-    """
+    """Values of the functions that simulator, states and network use."""
     for kind in (np.float32, np.float64):
+        # 1,001 numbers do not fill up the vector registers, so that the code for the remainder runs, too.
         x, y = np.random.default_rng(0).uniform(0.01, 8.0, (2, 1001)).astype(kind)
         yield from (np.exp(-x), np.sqrt(x), np.sin(x), np.cos(x), np.arctan2(x, y), np.hypot(x, y), kind(0.9) ** x)
     yield x[:1000].reshape(-1, 10).astype(np.float32).sum(1)

@@ -1,4 +1,4 @@
-"""Make the folder of a new run, without ever replacing anything but a run, and that only if asked to."""
+"""Make the folder of a new run. Nothing but a run is ever replaced, and that only on request."""
 
 import json
 import os
@@ -22,6 +22,7 @@ from sfmrl.runs.folders import (
     MAP,
     RUNS,
     as_words,
+    files_of_run,
     finished,
     in_training,
     kind_of,
@@ -29,7 +30,6 @@ from sfmrl.runs.folders import (
     locked,
     run_folders,
     unfinished,
-    written_by_runs,
 )
 from sfmrl.runs.run import Run, open_run
 from sfmrl.runs.weights import load_weights
@@ -50,29 +50,37 @@ def create_run(
 ) -> Run:
     """Make a run folder: `folder`, or a new one under runs/ named after kind, variant and seed.
 
-    If there is a run in `folder` already, `overwrite` replaces it, and `go_on` opens it if it has the same config.
-    Only a run or an empty folder is ever replaced, and only files that a run writes are removed; what is left of a run
-    whose creation was killed counts as nothing. `imitation` is the run that this one starts from; its path is stored
-    relative to the new folder, so that both can be moved together. `facts` go into run.json.
-
-    Raises ConfigError if the folder cannot be used, or if the config names an unknown environment or reward.
+    If `folder` holds a run, `overwrite` replaces it, and `go_on` opens it if it has the same config. `imitation` is the
+    run that this one starts from; its path is stored relative to the new folder, so that both can be moved together.
+    `facts` go into run.json. Raises ConfigError if the folder cannot be used, or the config names an unknown
+    environment or reward.
     """
     check_names(config)
     if go_on and folder is not None and kind_of(folder):
         return _open_same(folder, kind, config)
-    facts = _first_facts(kind, config) | facts
-    name, numbers = f"{kind}-{variant_name(config)}-seed{config.seed}", count(2)
-    place = folder or RUNS / name
-    while True:
-        facts["imitation"] = None if imitation is None else os.path.relpath(imitation, place)
+    facts = {
+        "kind": kind,
+        "variant": variant_name(config),
+        "created": datetime.now(UTC).isoformat(),
+        "command": shlex.join(["sfmrl", *sys.argv[1:]]),
+        "versions": versions(),
+        "own_reward": reward_digest(config.reward),
+        **facts,
+    }
+    files = {"config.json": config.to_json()}
+    if (environment := config.reinforcement.environment).startswith(DRAWN):
+        files[MAP] = environment.removeprefix(DRAWN).replace("/", "\n") + "\n"
+    name = f"{kind}-{variant_name(config)}-seed{config.seed}"
+    for number in count(1):
+        place = folder or RUNS / (name if number == 1 else f"{name}-{number}")
+        facts["imitation"] = imitation and os.path.relpath(imitation, place)
         try:
-            _make(place, _first_files(config) | {"run.json": json.dumps(facts, indent=2)}, overwrite)
-            break
+            _make(place, files | {"run.json": json.dumps(facts, indent=2)}, overwrite)
         except ConfigError:
             if folder:
                 raise
-            place = RUNS / f"{name}-{next(numbers)}"  # another run has this name
-    return replace(open_run(place), config=config)  # the user named this config's reward: it is trusted
+            continue  # another run has this name
+        return replace(open_run(place), config=config)  # the user named this config's reward: it is trusted
 
 
 def check_names(config: Config) -> None:
@@ -83,45 +91,31 @@ def check_names(config: Config) -> None:
     reward_terms(config.reward)
 
 
-def _first_facts(kind: str, config: Config) -> dict[str, Any]:
-    return {
-        "kind": kind,
-        "variant": variant_name(config),
-        "created": datetime.now(UTC).isoformat(),
-        "command": shlex.join(["sfmrl", *sys.argv[1:]]),
-        "versions": versions(),
-        "own_reward": reward_digest(config.reward),
-    }
-
-
-def _first_files(config: Config) -> dict[str, str]:
-    files = {"config.json": config.to_json()}
-    if config.reinforcement.environment.startswith(DRAWN):
-        files[MAP] = config.reinforcement.environment.removeprefix(DRAWN).replace("/", "\n") + "\n"
-    return files
-
-
 def _make(folder: Path, files: dict[str, str], overwrite: bool) -> None:
-    """Write the first files of a new run to a folder; raises ConfigError if it holds anything else."""
+    """Write the first files of a new run to a folder; raises ConfigError if it must not be replaced."""
     _check_replaceable(folder, overwrite)
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder):
         _check_replaceable(folder, overwrite)  # another process may have made a run in the meantime
-        if _listed(folder, MAP):
+        try:
+            listed = read_sums(folder)
+        except DamagedFile:
+            listed = {}
+        if MAP in listed:
             (folder / MAP).unlink(missing_ok=True)
         elif MAP in files and (folder / MAP).exists():
             raise ConfigError(f"{folder / MAP} does not belong to the run; move it away, or name another --run")
         # First SHA256SUMS: if this is interrupted, the old run can no longer be opened, but it can still be replaced.
         (folder / SUMS).unlink(missing_ok=True)
-        old = [path for path in folder.iterdir() if path.name not in FIRST and written_by_runs(path.name)]
-        for path in old + leftovers(folder):
-            path.unlink()
+        for path in files_of_run(folder):
+            if path.name not in FIRST:
+                path.unlink()
         write_together(folder, {name: text.encode() for name, text in files.items()})
 
 
 def _check_replaceable(folder: Path, overwrite: bool) -> None:
     """Raise ConfigError if the folder holds anything but a run, or a run that must not be replaced."""
-    if not folder.exists() or (folder.is_dir() and not _holds_something(folder)):
+    if not folder.exists() or (folder.is_dir() and _counts_as_empty(folder)):
         return
     if kind_of(folder) is None:
         spared = ", so --overwrite leaves it alone" if overwrite else ""
@@ -134,23 +128,17 @@ def _check_replaceable(folder: Path, overwrite: bool) -> None:
     raise ConfigError(f"{folder} is there already; {', or '.join(ways[: 2 + (not finished(folder))])}")
 
 
-def _holds_something(folder: Path) -> bool:
-    """Whether a folder holds more than what is left of a run whose creation was killed, which has no run.json."""
+def _counts_as_empty(folder: Path) -> bool:
+    """Whether a folder holds nothing but the remains of a run whose creation was killed before its run.json."""
     names = {path.name for path in folder.iterdir()} - {path.name for path in leftovers(folder)} - {LOCK}
-    listed = set(read_sums(folder)) if names else set()
-    return bool(names) and not (listed and names <= (listed | {SUMS}) - {"run.json"} and listed <= set(FIRST))
-
-
-def _listed(folder: Path, name: str) -> bool:
-    """Whether a folder's SHA256SUMS lists a file; False if SHA256SUMS is damaged."""
-    try:
-        return name in read_sums(folder)
-    except DamagedFile:
-        return False
+    if not names:
+        return True
+    listed = set(read_sums(folder))
+    return bool(listed) and listed <= set(FIRST) and names <= {SUMS, *listed} - {"run.json"}
 
 
 def _open_same(folder: Path, kind: str, config: Config) -> Run:
-    """Open the run in a folder; raises ConfigError, naming a setting, if it was begun with another config."""
+    """Open the run in a folder; raises ConfigError, naming a setting, if it has another config."""
     run = open_run(folder, kind)
     for pair in zip(run.config.to_json().split("\n"), config.to_json().split("\n"), strict=True):
         begun, asked = (line.strip(" ,") for line in pair)
@@ -160,15 +148,13 @@ def _open_same(folder: Path, kind: str, config: Config) -> Run:
 
 
 def start_run(config: Config, source: Path | None, from_scratch: bool, folder: Path | None, **existing: bool) -> Run:
-    """Make the folder of a new reinforcement run that starts from `source`.
+    """Make the folder of a reinforcement run that starts from `source`, or with `from_scratch` from nothing.
 
-    That is an imitation run, by default the newest that fits: one with the same preset, seed and simulation; its reward
-    and state may differ. If `source` is a weights file, the training starts from its network, without demonstrations
-    and with its `value_prior`. With `from_scratch` it starts from nothing. `existing` is passed to `create_run`.
-
-    Raises ConfigError, with what to type, if there is no such imitation run or `source` does not fit.
+    `source` is an imitation run, by default the newest with the same preset, seed and simulation (its reward and state
+    may differ), or a weights file: then the training starts from its network, without demonstrations and with its
+    `value_prior`. `existing` is passed to `create_run`. Raises ConfigError, with what to type, if no source fits.
     """
-    check_names(config)  # now, since the missing imitation run of the next error takes minutes to make
+    check_names(config)  # first: the imitation run that the next error may ask for takes minutes to make
     if from_scratch:
         return create_run("rl", config, folder, **existing)
     if source is not None and source.is_file():
@@ -188,7 +174,7 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
 
 
 def _start_from_weights(config: Config, source: Path) -> tuple[Config, dict[str, str]]:
-    """The config of a training that starts from a weights file, and what its run.json says of that file."""
+    """The config of a training that starts from a weights file, and the file's path and digest for run.json."""
     network, _ = load_weights(source)
     if network.forces != config.forces:
         columns, here = (len(column_names(forces)) for forces in (network.forces, config.forces))
@@ -200,23 +186,17 @@ def _start_from_weights(config: Config, source: Path) -> tuple[Config, dict[str,
 
 def _newest_fitting(config: Config) -> Path:
     """The newest finished imitation run that fits this config; raises ConfigError, with what to type, without one."""
-    for folder in run_folders("il"):
-        if _fits(folder, config):
+    for folder in filter(finished, run_folders("il")):
+        try:
+            made = open_run(folder).config
+        except DamagedFile as error:
+            raise DamagedFile(f"{error}, or name a run with --from") from None
+        except ConfigError:  # of an earlier version
+            continue
+        if all(getattr(made, name) == getattr(config, name) for name in ("preset", "seed", "simulation")):
             return folder
     flags = f"--preset {config.preset} --seed {config.seed}"
     raise ConfigError(
         f"no finished imitation run fits ({flags}, same simulation): type sfmrl il {flags}, "
         "name a run with --from, or do without with --from-scratch"
     )
-
-
-def _fits(folder: Path, config: Config) -> bool:
-    """Whether a folder holds a finished imitation run for trainings with this config; raises DamagedFile."""
-    try:
-        run = open_run(folder, "il")
-    except DamagedFile as error:
-        raise DamagedFile(f"{error}, or name a run with --from") from None
-    except ConfigError:
-        return False
-    same = all(getattr(run.config, name) == getattr(config, name) for name in ("preset", "seed", "simulation"))
-    return finished(folder) and same

@@ -1,7 +1,7 @@
 """CrowdNav's SARL checkpoints (.pth, torch's format): read and check them, and write a network as one.
 
-Also for the checkpoints of other programs that train the same network: layers may have any sizes, and parameters may be
-wrapped in dictionaries or have a prefix. torch is imported inside functions, since that takes seconds.
+Checkpoints of other programs that train the same network are read, too: layers may have any sizes, and parameters may
+be wrapped in dictionaries or have a prefix. torch is imported inside functions, since that takes seconds.
 """
 
 import configparser
@@ -23,7 +23,7 @@ WRAPPERS = ("state_dict", "model_state_dict", "model")  # keys under which a fil
 MAX_WRAPPERS = 4  # wrappers inside each other
 PREFIXES = ("module.", "model.")  # before every name, as DataParallel and networks with parts write them
 MAX_UNITS = 4096  # in a layer
-CADRL, LSTM_RL = "value_network.", "lstm."  # first parts of the parameters' names in CrowdNav's other networks
+OTHERS = {"value_network.": "CADRL, which looks at one person at a time", "lstm.": "LSTM-RL"}  # by their parameters
 NOT_WEIGHTS = {  # how files start that are mistaken for weights
     b"version https://git-lfs": "is a git-lfs pointer, not the file itself; fetch that with git lfs pull",
     b"<!doctype html": "is a web page (HTML), not the file itself; download that",
@@ -45,10 +45,9 @@ def read_foreign(data: bytes, path: Path) -> Any:
             warnings.simplefilter("ignore")
             return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except Exception as error:  # damaged or foreign bytes can raise anything in torch
+        reason = "is not a weights file that can be read safely; name a run folder, or its weights.npz"
         if "Unsupported global" in str(error) or "Unsupported class" in str(error):
             reason = "holds Python objects, which could run code; save no more than its state_dict()"
-        else:
-            reason = "is not a weights file that can be read safely; name a run folder, or its weights.npz"
         raise ConfigError(f"{path} {reason}") from error
 
 
@@ -66,12 +65,12 @@ def unwrapped(content: Any) -> Any:
 def sarl_parameters(parameters: Any) -> Parameters:
     """The parameters of a SARL network, with layers of any size, as float32 arrays in the order of its layers.
 
-    Raises ValueError, with the reason, if they are those of another network or of none.
+    Raises ValueError, with the reason, if they are those of another network or of none, or not finite.
     """
     if not isinstance(parameters, dict):
         raise ValueError(f"it is a {type(parameters).__name__}, not parameters by name")
     names = [str(name) for name in parameters]
-    for start, what in ((CADRL, "CADRL, which looks at one person at a time"), (LSTM_RL, "LSTM-RL")):
+    for start, what in OTHERS.items():
         if any(name.startswith(start) for name in names):
             raise ValueError(f"it is another network of CrowdNav's, {what}")
     known = list(layer_shapes(False))
@@ -87,8 +86,21 @@ def sarl_parameters(parameters: Any) -> Parameters:
         if not 0 < min(array.shape) <= max(array.shape) <= MAX_UNITS:
             raise ValueError(f"{name} is {array.shape}; a layer has 1 to {MAX_UNITS} units")
         arrays[name] = array.astype(np.float32)
+        if not np.isfinite(arrays[name]).all():
+            remedy = "train it again with a smaller learning rate"
+            raise ValueError(f"{name} holds numbers that are not finite, so its training diverged; {remedy}")
     _check_shapes(arrays)
     return arrays
+
+
+def _dense(value: Any) -> np.ndarray | None:
+    """A dense tensor or array of floating-point numbers as an array; None for anything else."""
+    if isinstance(value, np.ndarray):
+        return value if value.dtype.kind == "f" else None
+    try:
+        return value.detach().float().numpy() if value.is_floating_point() else None
+    except Exception:  # sparse, quantized and nested tensors, and what is no tensor, raise different errors
+        return None
 
 
 def _check_shapes(arrays: Parameters) -> None:
@@ -105,21 +117,6 @@ def _check_shapes(arrays: Parameters) -> None:
             raise ValueError(f"{name} is {arrays[name].shape}, not {shape}")
 
 
-def _dense(value: Any) -> np.ndarray | None:
-    """A dense tensor or array of floating-point numbers as an array; None for anything else."""
-    if not isinstance(value, np.ndarray):
-        try:
-            value = value.detach().float().numpy() if value.is_floating_point() else value
-        except (
-            AttributeError,
-            RuntimeError,
-            TypeError,
-            NotImplementedError,
-        ):  # sparse, quantised, nested tensors
-            return None
-    return value if isinstance(value, np.ndarray) and value.dtype.kind == "f" else None
-
-
 def export_weights(network: FastNetwork, path: Path) -> str:
     """Write a network as a checkpoint that CrowdNav's SARL loads (.pth, torch's format); returns its SHA-256."""
     import torch
@@ -130,18 +127,14 @@ def export_weights(network: FastNetwork, path: Path) -> str:
 
 
 def other_habits(path: Path, robot_visible: bool) -> list[str]:
-    """What CrowdNav's config files beside a checkpoint set otherwise than it is played here, in sentences."""
+    """Sentences on what CrowdNav's config files beside a checkpoint set otherwise than it is played here."""
     policy, world = (_read_ini(path.with_name(name)) for name in ("policy.config", "env.config"))
-    notes = []
     kinematics = policy.get("action_space", "kinematics", fallback="holonomic")
-    if kinematics != "holonomic":
-        notes.append(
-            f"{path} was trained for a robot whose kinematics are {kinematics}; here it moves in any direction"
-        )
     unseen = world.get("robot", "visible", fallback="true").lower() in ("false", "no", "off", "0")
-    if unseen and robot_visible:
-        notes.append(f"{path} was trained among people who did not see the robot; --no-robot-visible plays it so")
-    return notes
+    moves = f"was trained for a robot whose kinematics are {kinematics}; here it moves in any direction"
+    sees = "was trained among people who did not see the robot; --no-robot-visible plays it so"
+    notes = {moves: kinematics != "holonomic", sees: unseen and robot_visible}
+    return [f"{path} {note}" for note, holds in notes.items() if holds]
 
 
 def _read_ini(path: Path) -> configparser.ConfigParser:

@@ -20,18 +20,15 @@ DERIVED = ("time_step", "goal_distance_before")  # fields of Transition that fol
 STORED = [item.name for item in fields(Transition) if item.name not in DERIVED]
 
 
-def save_demonstrations(record: Record, path: Path) -> str:
-    """Write a record's trajectories to a file; returns its SHA-256.
-
-    Arrays with axes (E, T, ...) are stored as (S, ...), with the rows of all episodes' steps one after the other.
-    """
+def save_demonstrations(record: Record, path: Path) -> None:
+    """Write a record's trajectories: arrays (E, T, ...) as (S, ...), the steps of all episodes in one axis."""
     moments = np.arange(record.position.shape[1]) <= record.steps[:, None]
     arrays = {f"scenes.{f.name}": getattr(record.scenes, f.name) for f in fields(Scenes)}
     arrays |= {f"transition.{name}": getattr(record.transition, name)[record.played] for name in STORED}
     arrays |= {"position": record.position[moments], "velocity": record.velocity[moments], "steps": record.steps}
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)
-    return write_atomically(path, buffer.getvalue())
+    write_atomically(path, buffer.getvalue())
 
 
 def load_demonstrations(path: Path, simulation: Simulation) -> Record:
@@ -45,11 +42,11 @@ def load_demonstrations(path: Path, simulation: Simulation) -> Record:
             moments = np.arange(steps.max() + 1) <= steps[:, None]
             stored = {name: _spread(arrays[f"transition.{name}"], played) for name in STORED}
             position, velocity = _spread(arrays["position"], moments), _spread(arrays["velocity"], moments)
-            there = np.isfinite(scenes.start)[:, None] & moments[..., None, None]  # (E, T+1, N, 2)
-            parts = {name: values[played] for name, values in stored.items()}
-            parts["separations"] = np.minimum(parts["separations"], 0.0)  # may be +inf, to absent elements
-            if not all(np.isfinite(part).all() for part in (position[there], velocity[there], *parts.values())):
-                raise ValueError("they are not finite")
+        present = np.isfinite(scenes.start)[:, None] & moments[..., None, None]  # (E, T+1, N, 2)
+        parts = {name: values[played] for name, values in stored.items()}
+        parts["separations"] = np.minimum(parts["separations"], 0.0)  # may be +inf, to absent elements
+        if not all(np.isfinite(part).all() for part in (position[present], velocity[present], *parts.values())):
+            raise ValueError("they are not finite")
     except Exception as error:  # damaged bytes can raise anything in NumPy
         raise DamagedFile(f"{path} does not hold demonstrations ({error}); make them again with sfmrl il") from None
     before = np.where(played, length(position[:, :-1, 0] - scenes.goal[:, None, 0]), np.nan)

@@ -1,15 +1,15 @@
-"""Which runs there are, what is in their folders, and which are being trained. Imports neither NumPy nor torch."""
+"""Which runs there are, which files belong to them, and which are being trained. Imports neither NumPy nor torch."""
 
 import re
 import shlex
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from sfmrl.config import ConfigError, json_object
-from sfmrl.runs.files import SUMS, TEMPORARY, DamagedFile, read_regular, regular
+from sfmrl.runs.files import SUMS, TEMPORARY, DamagedFile, read_listed, read_regular, regular
 
 try:
     import fcntl
@@ -23,20 +23,37 @@ BEST = "best.npz"  # the network of the best validation
 DEMONSTRATIONS = "demonstrations.npz"
 MAP = "map.txt"  # the map, if the run trains on one
 TABLES = ("metrics.csv", "validation.csv", "test.csv", "test-best.csv", "result.json")
-OLD = ("weights.pt", "best.pt")  # WEIGHTS and BEST in runs of versions before 0.3
 LOCK = ".lock"  # locked by the process that trains the run
 CHECKPOINT = re.compile(r"checkpoint-\d{6}\.npz")
 FIRST = ("config.json", MAP, "run.json")  # files of a new run, in this order: run.json makes a folder a run
-WRITTEN = {*FIRST, *TABLES, WEIGHTS, BEST, *OLD, DEMONSTRATIONS, SUMS}  # with checkpoints, all that a run ever writes
+WRITTEN = {*FIRST, *TABLES, WEIGHTS, BEST, DEMONSTRATIONS, SUMS, "weights.pt", "best.pt"}  # .pt: before version 0.3
 
 
 def run_folders(kind: str | None = None) -> list[Path]:
     """The folders under runs/ that hold a run (of this kind), newest first."""
-    runs = []
-    for path in RUNS.glob("[!.]*/run.json"):
-        if kind_of(path.parent) in (KINDS if kind is None else (kind,)):
-            runs.append((str(facts_of(path.parent).get("created")), path.parent))
-    return [folder for _, folder in sorted(runs, reverse=True)]
+    return [folder for folder in _newest_first() if kind_of(folder) in ([kind] if kind else KINDS)]
+
+
+def newest_run(say: Callable[[str], None]) -> Path:
+    """The newest finished run under runs/; raises ConfigError if there is none.
+
+    A folder with a damaged run.json is skipped, and named by `say` unless it is older than the run returned.
+    """
+    for folder in filter(finished, _newest_first()):
+        try:
+            read_listed(folder / "run.json")
+        except (DamagedFile, OSError) as error:
+            say(f"{folder} is skipped: {error}")
+            continue
+        if kind_of(folder):
+            return folder
+    raise ConfigError("there is no finished run under runs/ yet: type sfmrl il, or name a policy, as sarl-sfm6 or orca")
+
+
+def _newest_first() -> list[Path]:
+    """The folders under runs/ with a run.json, newest first; one that states no time counts as the newest."""
+    folders = [path.parent for path in RUNS.glob("[!.]*/run.json")]
+    return sorted(folders, key=lambda folder: (str(facts_of(folder).get("created", "unknown")), folder), reverse=True)
 
 
 def kind_of(folder: Path) -> str | None:
@@ -58,20 +75,8 @@ def finished(folder: Path) -> bool:
     return (folder / WEIGHTS).exists()
 
 
-def in_training(folder: Path) -> bool:
-    """Whether a process is training the run in a folder; False where the system cannot tell."""
-    try:
-        with open(regular(folder / LOCK)) as lock:
-            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except (OSError, AttributeError, DamagedFile):
-        return False
-    return False
-
-
 def unfinished(folder: Path) -> str:
-    """What to tell the user of an unfinished run: how to continue it, or that it is being trained now."""
+    """An error message about an unfinished run: how to continue it, or that it is being trained now."""
     if in_training(folder):
         return f"{folder} is being trained now; wait until it has ended"
     return f"{folder} has not ended; go on with it: sfmrl {kind_of(folder) or 'rl'} --resume {as_words(folder)}"
@@ -91,26 +96,37 @@ def as_words(folder: Path) -> str:
 def locked(folder: Path) -> Iterator[None]:
     """Keep other processes from training in a folder, where the system can; raises ConfigError if one does."""
     with open(regular(folder / LOCK), "a") as lock:
-        for attempt in range(5):  # `in_training`, in another process, holds the lock for a moment
+        deadline = time.monotonic() + 0.2  # `in_training`, in another process, holds the lock for a moment
+        while fcntl:
             try:
-                if fcntl:
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 break
             except BlockingIOError:
-                if attempt == 4:
-                    raise ConfigError(
-                        f"{folder} is being trained by another process; wait for it, or stop it"
-                    ) from None
+                if time.monotonic() > deadline:
+                    said = f"{folder} is being trained by another process; wait for it, or stop it"
+                    raise ConfigError(said) from None
                 time.sleep(0.05)
         yield
 
 
+def in_training(folder: Path) -> bool:
+    """Whether a process is training the run in a folder; False where the system cannot tell."""
+    try:
+        with open(regular(folder / LOCK)) as lock:
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except (OSError, AttributeError, DamagedFile):
+        pass
+    return False
+
+
+def files_of_run(folder: Path) -> list[Path]:
+    """The files in a folder that have the names of a run's files, or of its temporary files."""
+    names = {path: TEMPORARY.sub(r"\1", path.name) for path in folder.iterdir()}
+    return [path for path, name in names.items() if name in WRITTEN or CHECKPOINT.fullmatch(name)]
+
+
 def leftovers(folder: Path) -> list[Path]:
-    """Temporary files of a run's files, which killed processes have left in its folder."""
-    names = [(path, TEMPORARY.fullmatch(path.name)) for path in folder.iterdir()]
-    return [path for path, name in names if name and written_by_runs(name[1])]
-
-
-def written_by_runs(name: str) -> bool:
-    """Whether a run writes files of this name."""
-    return name in WRITTEN or bool(CHECKPOINT.fullmatch(name))
+    """The temporary files of a run that killed processes left in its folder."""
+    return [path for path in files_of_run(folder) if TEMPORARY.fullmatch(path.name)]

@@ -1,12 +1,10 @@
-"""Report the progress of long work on standard error, and stop it at the next checkpoint on Ctrl-C.
-
-In a terminal, progress is a bar with the rate and the time left; elsewhere it is plain lines.
-"""
+"""Report the progress of long work on standard error, and stop it at the next checkpoint on Ctrl-C."""
 
 import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
+from functools import partial
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
@@ -32,51 +30,40 @@ def no_progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
 
 def show_progress(console: Console) -> Progress:
     """Show progress on `console` (standard error): a bar if it is a terminal, otherwise a line every ten seconds."""
-    return _bar(console) if console.is_terminal and not console.is_dumb_terminal else _lines(console)
+    return partial(_bar if console.is_terminal and not console.is_dumb_terminal else _lines, console)
 
 
-def _bar(console: Console) -> Progress:
-    @contextmanager
-    def progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=None),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[rate]}"),
-            TimeRemainingColumn(),
-        )
-        with Bar(*columns, console=console, transient=True, expand=True) as bar:
-            task = bar.add_task(title, total=total, rate="")
-            start = time.monotonic()
-
-            def advance(count: int) -> None:
-                bar.advance(task, count)
-                bar.update(task, rate=_rate(bar.tasks[0].completed, time.monotonic() - start))
-
-            yield advance
-
-    return progress
-
-
-def _lines(console: Console) -> Progress:
-    @contextmanager
-    def progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
-        start = printed = time.monotonic()
-        done = 0
+@contextmanager
+def _bar(console: Console, title: str, total: int) -> Iterator[Callable[[int], None]]:
+    title_and_bar = TextColumn("{task.description}"), BarColumn(bar_width=None)
+    columns = (*title_and_bar, MofNCompleteColumn(), TextColumn("{task.fields[rate]}"), TimeRemainingColumn())
+    with Bar(*columns, console=console, transient=True, expand=True) as bar:
+        task = bar.add_task(title, total=total, rate="")
+        start = time.monotonic()
 
         def advance(count: int) -> None:
-            nonlocal done, printed
-            done += count
-            now = time.monotonic()
-            if now - printed >= (LINE_EVERY if printed > start else FIRST_LINE_AFTER):
-                printed = now
-                left = (total - done) * (now - start) / max(done, 1)
-                line = f"{title}: {done} of {total}, {_rate(done, now - start)}, {left:.0f} s left"
-                console.print(line, highlight=False, soft_wrap=True)
+            bar.advance(task, count)
+            bar.update(task, rate=_rate(bar.tasks[0].completed, time.monotonic() - start))
 
         yield advance
 
-    return progress
+
+@contextmanager
+def _lines(console: Console, title: str, total: int) -> Iterator[Callable[[int], None]]:
+    start = printed = time.monotonic()
+    done = 0
+
+    def advance(count: int) -> None:
+        nonlocal done, printed
+        done += count
+        now = time.monotonic()
+        if now - printed >= (LINE_EVERY if printed > start else FIRST_LINE_AFTER):
+            printed = now
+            left = (total - done) * (now - start) / max(done, 1)
+            line = f"{title}: {done} of {total}, {_rate(done, now - start)}, {left:.0f} s left"
+            console.print(line, highlight=False, soft_wrap=True)
+
+    yield advance
 
 
 def _rate(done: float, seconds: float) -> str:
@@ -107,21 +94,24 @@ class StopSignal:
         with suppress(OSError):  # the terminal may be closed
             self._say("stopping at the next checkpoint; interrupt again to stop at once")
 
+    def check(self) -> None:
+        """Raise Interrupted once a stop is requested."""
+        if self.requested:
+            raise Interrupted
+
     def watch(self, progress: Progress) -> Progress:
-        """`progress` that raises Interrupted once a stop is requested, for work whose parts need not be saved."""
+        """`progress` that checks for a stop at every step, for work whose parts need not be saved."""
+        return partial(self._watched, progress)
 
-        @contextmanager
-        def watched(title: str, total: int) -> Iterator[Callable[[int], None]]:
-            with progress(title, total) as advance:
+    @contextmanager
+    def _watched(self, progress: Progress, title: str, total: int) -> Iterator[Callable[[int], None]]:
+        with progress(title, total) as advance:
 
-                def advance_or_stop(count: int) -> None:
-                    advance(count)
-                    if self.requested:
-                        raise Interrupted
+            def advance_or_stop(count: int) -> None:
+                advance(count)
+                self.check()
 
-                yield advance_or_stop
-
-        return watched
+            yield advance_or_stop
 
 
 @contextmanager

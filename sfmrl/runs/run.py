@@ -1,4 +1,4 @@
-"""An open run folder: its checkpoints, tables and trained network. The files are listed in `sfmrl/runs/__init__.py`."""
+"""An open run folder and its checkpoints. The files of a run are listed in `sfmrl/runs/__init__.py`."""
 
 import io
 import json
@@ -13,33 +13,8 @@ from typing import Any
 import numpy as np
 
 from sfmrl.config import Config, ConfigError, json_object
-from sfmrl.fast import FastNetwork
-from sfmrl.runs.files import (
-    DamagedFile,
-    append,
-    csv_text,
-    read_checked,
-    read_listed,
-    read_sums,
-    remove_checked,
-    unlist,
-    write_atomically,
-    write_text,
-    write_together,
-)
-from sfmrl.runs.folders import (
-    CHECKPOINT,
-    KINDS,
-    RUNS,
-    TABLES,
-    WEIGHTS,
-    finished,
-    in_training,
-    leftovers,
-    locked,
-    run_folders,
-)
-from sfmrl.runs.weights import weights_file
+from sfmrl.runs.files import DamagedFile, read_checked, read_regular, read_sums, remove_checked, unlist, write_together
+from sfmrl.runs.folders import CHECKPOINT, KINDS, TABLES, WEIGHTS, finished, in_training, leftovers, locked, run_folders
 
 OLDER = ("0.1.", "0.2.")  # versions whose runs have other weights and checkpoints
 KEEP = 2  # checkpoints: the newest, and one to fall back on if it is damaged
@@ -60,34 +35,26 @@ class Run:
         source = self.facts.get("imitation")
         return None if source is None else Path(os.path.normpath(self.folder / source))
 
-    def save_checkpoint(self, state: dict[str, Any]) -> None:
-        """Save everything that resuming needs under the next number, and delete all but the newest checkpoints."""
-        number = 1 + max((int(path.stem.rpartition("-")[2]) for path in self.checkpoints()), default=0)
-        write_atomically(self.folder / f"checkpoint-{number:06d}.npz", _state_file(state))
-        remove_checked(self.checkpoints()[:-KEEP])
-
     def checkpoints(self) -> list[Path]:
         """The checkpoint files, oldest first."""
         return sorted(path for path in self.folder.iterdir() if CHECKPOINT.fullmatch(path.name))
 
-    def finish(self, network: FastNetwork) -> None:
-        """Save the trained network, list the tables in SHA256SUMS, and delete the checkpoints."""
-        tables = [name for name in TABLES if (self.folder / name).exists()]
-        write_together(self.folder, {WEIGHTS: weights_file(network, self.config)}, tables)
-        remove_checked(self.checkpoints())
+    def save_checkpoint(self, state: dict[str, Any]) -> None:
+        """Save a nested state as a checkpoint (JSON, and the arrays that it names); delete all but the newest."""
+        arrays: dict[str, np.ndarray] = {}
 
-    def tidy(self) -> None:
-        """Remove what killed processes left: temporary files, digests without files, checkpoints of a finished run."""
-        for path in leftovers(self.folder):
-            path.unlink()
-        gone = {name for name in read_sums(self.folder) if not (self.folder / name).exists()}
-        if finished(self.folder):  # then only checkpoints may be missing: any other missing file stays listed
-            gone = set(filter(CHECKPOINT.fullmatch, gone))
-            remove_checked(self.checkpoints())
-        unlist(gone, self.folder)
+        def put_aside(array: np.ndarray) -> dict[str, str]:
+            arrays[name := f"array{len(arrays)}"] = array
+            return {"array": name}
+
+        buffer = io.BytesIO()
+        np.savez(buffer, json=json.dumps(state, default=put_aside), **arrays)
+        number = 1 + max((int(path.stem.rpartition("-")[2]) for path in self.checkpoints()), default=0)
+        write_together(self.folder, {f"checkpoint-{number:06d}.npz": buffer.getvalue()})
+        remove_checked(self.checkpoints()[:-KEEP])
 
     def load_checkpoint(self) -> dict[str, Any] | None:
-        """Load the newest checkpoint's state; None if there is none. Raises DamagedFile with the remedy."""
+        """The state in the newest checkpoint; None without one. Raises DamagedFile, with the remedy."""
         saved = self.checkpoints()
         if not saved:
             return None
@@ -111,31 +78,11 @@ class Run:
             reason = str(error).strip().partition("\n")[0].rstrip(":")
             raise DamagedFile(f"{self.checkpoints()[-1]} is no checkpoint of this run ({reason}); delete it") from None
 
-    def write_table(self, name: str, rows: list[dict[str, Any]]) -> None:
-        """Write a CSV file atomically."""
-        write_text(self.folder / name, csv_text(rows))
-
-    def append_rows(self, name: str, rows: list[dict[str, Any]]) -> None:
-        """Add rows to a CSV file."""
-        path = self.folder / name
-        append(path, csv_text(rows, header=not path.exists() or path.stat().st_size == 0).encode())
-
-    def write_json(self, name: str, content: dict[str, Any]) -> None:
-        """Write a JSON file atomically."""
-        write_text(self.folder / name, json.dumps(content, indent=2) + "\n")
-
-
-def _state_file(state: dict[str, Any]) -> bytes:
-    """The bytes of a checkpoint (.npz): the nested state as JSON, and its arrays, which the JSON names."""
-    arrays: dict[str, np.ndarray] = {}
-
-    def put_aside(array: np.ndarray) -> dict[str, str]:
-        arrays[name := f"array{len(arrays)}"] = array
-        return {"array": name}
-
-    text, buffer = json.dumps(state, default=put_aside), io.BytesIO()
-    np.savez(buffer, json=text, **arrays)
-    return buffer.getvalue()
+    def finish(self, weights: bytes) -> None:
+        """Write the weights file, and the tables again, so that SHA256SUMS lists them; delete the checkpoints."""
+        tables = {name: read_regular(self.folder / name) for name in TABLES if (self.folder / name).exists()}
+        write_together(self.folder, tables | {WEIGHTS: weights})
+        remove_checked(self.checkpoints())
 
 
 def open_run(folder: Path, kind: str | None = None) -> Run:
@@ -143,8 +90,7 @@ def open_run(folder: Path, kind: str | None = None) -> Run:
     if not (folder / "run.json").is_file() or not (folder / "config.json").is_file():
         what = "is not a run folder: it has no run.json and config.json" if folder.exists() else "does not exist"
         runs = [f"{path} (being trained)" if in_training(path) else str(path) for path in run_folders()]
-        known = ", ".join(runs) or "none yet, sfmrl il makes one"
-        raise ConfigError(f"{folder} {what}; known runs: {known}")
+        raise ConfigError(f"{folder} {what}; known runs: {', '.join(runs) or 'none yet, sfmrl il makes one'}")
     facts = _read_facts(folder / "run.json")
     version = str(facts["versions"].get("sfmrl"))
     if version.startswith(OLDER):
@@ -171,19 +117,6 @@ def _read_facts(path: Path) -> dict[str, Any]:
     return facts
 
 
-def newest_run() -> Path:
-    """The newest finished run under runs/, by the times in their run.json.
-
-    Raises ConfigError if there is none, and DamagedFile if a run.json is damaged, whose time then cannot be trusted.
-    """
-    for path in RUNS.glob("[!.]*/run.json"):
-        read_listed(path)
-    for folder in run_folders():
-        if finished(folder):
-            return folder
-    raise ConfigError("there is no finished run under runs/ yet: type sfmrl il, or name a policy, as sarl-sfm6 or orca")
-
-
 @contextmanager
 def sole_use(run: Run) -> Iterator[None]:
     """Keep other processes from training the same run, where the system can, and tidy its folder.
@@ -193,5 +126,16 @@ def sole_use(run: Run) -> Iterator[None]:
     with locked(run.folder):
         if open_run(run.folder) != run:
             raise ConfigError(f"{run.folder} has just been replaced by another process; name another --run")
-        run.tidy()
+        _tidy(run)
         yield
+
+
+def _tidy(run: Run) -> None:
+    """Remove what killed processes left: temporary files, digests without files, checkpoints of a finished run."""
+    for path in leftovers(run.folder):
+        path.unlink()
+    gone = {name for name in read_sums(run.folder) if not (run.folder / name).exists()}
+    if finished(run.folder):  # then only checkpoints may be missing: any other missing file stays listed
+        gone = set(filter(CHECKPOINT.fullmatch, gone))
+        remove_checked(run.checkpoints())
+    unlist(gone, run.folder)
