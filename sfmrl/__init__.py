@@ -10,9 +10,9 @@ from typing import Any
 __version__ = "0.3.0"
 
 _HOME = {
-    "config": ("Config", "ConfigError", "Reinforcement", "Imitation", "Planner", "Reward", "Simulation", "SocialForce"),
+    "config": ("Config", "ConfigError", "Reinforcement", "Imitation", "Planner", "Reward", "Simulation"),
     "variants": ("make_config",),
-    "sfm": ("goal_force", "repulsive_forces", "resultant", "sfm_velocities"),
+    "sfm": ("SocialForce", "goal_force", "repulsive_forces", "resultant", "sfm_velocities"),
     "orca": ("orca_velocities",),
     "network": ("ValueNetwork",),
     "fast": ("FastNetwork",),

@@ -15,7 +15,7 @@ from sfmrl.batch import Batch
 from sfmrl.config import Config, ConfigError, Reward, Simulation, counted
 from sfmrl.geometry import length
 from sfmrl.lookahead import Notes, Policy, explained, step_discount
-from sfmrl.own_code import checked_array, fault, is_write, kind, name_of, read_only, takes_two
+from sfmrl.own_code import checked_array, fault, kind, name_of, read_only, remedy
 from sfmrl.policies import find_policy
 from sfmrl.rewards import OUTCOMES, RUNNING, OwnReward, Terms, Transition, as_reward, reward_terms, total
 from sfmrl.scenes import Scenes
@@ -197,9 +197,9 @@ def _choice(policy: Policy, world: World, moves: np.ndarray, keep: bool) -> tupl
         given = read_only(world), read_only(moves)
         returned, notes = explained(policy, *given) if keep else (policy(*given), {})
     except (ValueError, AttributeError, TypeError) as error:
-        if not is_write(error) and takes_two(policy):
-            raise
-        raise fault(name, policy, error, "(world, crowd_velocity)") from error
+        if hint := remedy(error, "(world, crowd_velocity)"):
+            raise fault(name, policy, error, hint) from error
+        raise
     action = checked_array(name, policy, returned, (len(world), 2), "a velocity (x, y) in m/s for each episode")
     speed, v_pref = length(action), world.v_pref[:, 0]
     if (speed > v_pref + TOLERANCE).any():

@@ -1,12 +1,11 @@
 """Rewards and policies that users write as Python functions: load them, check what they return, explain their errors.
 
-Their arguments are read-only, so that they cannot forge a result. Each mistake in them is reported in one line.
-A reward that a run or a weights file names is `Untrusted` and is not run: opening a file must not run code.
+Their arguments are read-only, so that they cannot change a result. A reward that only a run or weights file names is
+`Untrusted` and is not run, since opening a file must not run code.
 """
 
 import hashlib
 import importlib
-import inspect
 import runpy
 import shlex
 import traceback
@@ -17,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from sfmrl.config import Config, ConfigError, Reward, Untrusted, suggest
+from sfmrl.config import Config, ConfigError, Reward, Settings, Untrusted, override, suggest
 
 
 class UntrustedReward(ConfigError):
@@ -25,64 +24,46 @@ class UntrustedReward(ConfigError):
 
 
 def read_only(thing: Any, copy: bool = True) -> Any:
-    """A copy of an array, or of a dataclass of arrays, that cannot be written to; nested dataclasses become views.
+    """A read-only copy of an array or of a dataclass of arrays, with views of the arrays in nested dataclasses.
 
-    A view would not do for the outer arrays, since its owner could make it writeable again. Nested dataclasses (the
-    parts of a world) decide no outcome.
+    The owner of a view can make it writeable again. Nested dataclasses (parts of a world) decide no outcome.
     """
     if isinstance(thing, np.ndarray):
         thing = np.array(thing) if copy else thing.view()
         thing.flags.writeable = False
-    elif is_dataclass(thing):
+    elif is_dataclass(thing) and not isinstance(thing, Settings):
         parts = {item.name: getattr(thing, item.name) for item in fields(thing)}
-        copies = {name: read_only(part, copy and not is_dataclass(part)) for name, part in parts.items()}
-        if any(copies[name] is not part for name, part in parts.items()):
-            return replace(thing, **copies)
+        thing = replace(thing, **{name: read_only(part, not is_dataclass(part)) for name, part in parts.items()})
     return thing
 
 
-def is_write(error: BaseException) -> bool:
-    """Whether `error` was raised by an attempt to change something `read_only`."""
-    return isinstance(error, FrozenInstanceError) or (type(error) is ValueError and "read-only" in str(error))
+def remedy(error: BaseException, arguments: str) -> str:
+    """How to correct a user's function, called where `error` was caught; "" if the error itself says it."""
+    if isinstance(error, FrozenInstanceError) or "read-only" in str(error):
+        return "; what it is given is read-only: work on a copy, as numpy.array(...) makes one"
+    if isinstance(error, TypeError) and error.__traceback__.tb_next is None:  # the call failed, nothing in the function
+        return f"; define it with two arguments, {arguments}"
+    if "truth value of an array" in str(error):
+        return "; it is given whole arrays: choose with numpy.where or numpy.select instead of if"
+    return "" if isinstance(error, Exception) else "; it must return, and not end the program"
 
 
-def takes_two(function: Callable) -> bool:
-    """Whether a function takes two arguments, as rewards and policies must."""
-    try:
-        inspect.signature(function).bind(None, None)
-    except TypeError:
-        return False
-    except ValueError:  # compiled, without a signature
-        pass
-    return True
-
-
-def fault(who: str, function: Callable, error: BaseException, arguments: str) -> ConfigError:
-    """Make the error to raise when a user's function has raised `error`: its line of code, and what to change."""
-    if is_write(error):
-        remedy = "what it is given is read-only: work on a copy, as numpy.array(...) makes one"
-    elif isinstance(error, TypeError) and not takes_two(function):
-        remedy = f"define it with two arguments, {arguments}"
-    elif type(error) is ValueError and "truth value of an array" in str(error):
-        remedy = "it is given whole arrays: choose with numpy.where or numpy.select instead of if"
-    elif isinstance(error, Exception):
-        remedy = "correct that line"
-    else:
-        remedy = "it must return, and not end the program"
+def fault(who: str, function: Callable, error: BaseException, remedy: str) -> ConfigError:
+    """The error to raise if a user's function has raised `error`: one line, with the number of its line of code."""
     file = getattr(getattr(function, "__code__", None), "co_filename", "")
-    return ConfigError(f"{who}{_line(error, file)} failed: {_text(error)}; {remedy}")
+    return ConfigError(f"{who}{_summary('failed', error, file)}{remedy}")
 
 
 def checked_array(who: str, function: Callable, returned: Any, shape: tuple[int, ...], meaning: str) -> np.ndarray:
-    """Convert what a user's function returned to floats; raises ConfigError if not finite and of this shape."""
-    line = getattr(getattr(function, "__code__", None), "co_firstlineno", None)
-    who += f" (line {line})" if line else ""
+    """What a user's function returned, as floats; raises ConfigError unless they are finite and of this shape."""
+    if hasattr(function, "__code__"):
+        who += f" (line {function.__code__.co_firstlineno})"
     try:
-        array = None if returned is None else np.asarray(returned, dtype=float)
+        array = np.asarray(returned, dtype=float)
     except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor that requires a gradient
-        array = None
-    if array is None or array.shape != shape:
-        what = kind(returned) if array is None or not array.ndim else f"an array of shape {array.shape}"
+        array = np.array(np.nan)
+    if array.shape != shape:
+        what = f"an array of shape {array.shape}" if array.ndim else kind(returned)
         raise ConfigError(f"{who} returned {what}; it must return an array of shape {shape}, {meaning}")
     if not np.isfinite(array).all():
         raise ConfigError(f"{who} returned NaN or infinity; it must return finite numbers, {meaning}")
@@ -100,7 +81,7 @@ def kind(thing: Any) -> str:
 
 
 def load(name: str) -> Callable:
-    """Load the function that "file.py:function" or "package.module:function" names.
+    """The function that "file.py:function" or "package.module:function" names.
 
     Raises UntrustedReward if only a file names it, ConfigError if there is no such function.
     """
@@ -116,21 +97,21 @@ def load(name: str) -> Callable:
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        raise ConfigError(f"reward {name}{_line(error, str(file))} cannot be imported: {_text(error)}") from error
+        raise ConfigError(f"reward {name}{_summary('cannot be imported', error, str(file))}") from error
     if not callable(known.get(function)):
         raise ConfigError(f"reward {name}: {place} has no function {function!r}{suggest(function, known)}")
     return known[function]
 
 
 def trusted(config: Config, trust: bool | str) -> Config:
-    """Allow the config's reward to be run if `trust` is True or names the same reward."""
+    """The config, its reward allowed to be run if `trust` is True or names the same reward."""
     name = config.reward.reward
-    named = type(trust) is str and absolute(trust) == absolute(name)
-    return replace(config, reward=replace(config.reward, reward=str(name))) if trust is True or named else config
+    named = type(trust) is str and absolute(trust) == absolute(name)  # an Untrusted name is a file's
+    return override(config, {"reward": {"reward": str(name)}}) if trust is True or named else config
 
 
 def absolute(name: str) -> str:
-    """Make the path in a reward's name absolute, if it has one, so that the file is found from any folder."""
+    """A reward's name with an absolute path, if it has a path, so that the file is found from any folder."""
     place, colon, function = name.rpartition(":")
     return f"{Path(place).resolve()}{colon}{function}" if place.endswith(".py") else name
 
@@ -142,22 +123,18 @@ def reward_digest(settings: Reward) -> str | None:
 
 
 def _file(name: str) -> Path | None:
-    place = name.rpartition(":")[0]
-    if not place.endswith(".py"):
+    place = Path(name.rpartition(":")[0])
+    if place.suffix != ".py":
         return None
-    if not Path(place).is_file():
+    if not place.is_file():
         raise ConfigError(f"reward {name}: there is no file {place}; put it there, or write its path as seen from here")
-    return Path(place)
+    return place
 
 
-def _line(error: BaseException, file: str) -> str:
-    """The line of `file` that raised an exception, as " (line 7)"; "" if none did."""
+def _summary(what: str, error: BaseException, file: str) -> str:
+    """An error in one line, after its line number in `file` (if it was raised there) and `what` happened."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-    if isinstance(error, SyntaxError) and error.filename == file:
-        lines.append(error.lineno)
-    return f" (line {lines[-1]})" if lines else ""
-
-
-def _text(error: BaseException) -> str:
-    """An exception in one line."""
-    return " ".join(f"{type(error).__name__}: {error}".rstrip(": ").split())
+    lines += [error.lineno] if isinstance(error, SyntaxError) and error.filename == file else []
+    where = f" (line {lines[-1]})" if lines else ""
+    text = " ".join(f"{type(error).__name__}: {error}".split())
+    return f"{where} {what}: {text}".rstrip(": ")

@@ -120,7 +120,7 @@ def was_run(own: Path) -> bool:
         ("raises_the_prize", "settings.success =", "FrozenInstanceError: .*work on a copy"),
         ("stops", 'sys.exit("enough")', "SystemExit: enough; it must return, and not end the program"),
         ("closes", "raise GeneratorExit", "GeneratorExit; it must return, and not end the program"),
-        ("errs", "return calm(transition, settings) *", "AttributeError: .*speed.*; correct that line"),
+        ("errs", "return calm(transition, settings) *", "AttributeError: .*speed"),
         ("asks", "return 1.0 if", "ValueError: The truth value .*; it is given whole arrays: choose with numpy.where"),
         ("forgets", "def forgets", r"returned None; it must return an array of shape \(3,\), one number a transition"),
         ("yields", "def yields", "returned a generator; it must return an array"),

@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sfmrl.config import CROWD_FORCE, SocialForce
 from sfmrl.geometry import length
-from sfmrl.sfm import goal_force, repulsive_forces, resultant, sfm_velocities
+from sfmrl.sfm import CROWD_FORCE, SocialForce, goal_force, repulsive_forces, resultant, sfm_velocities
 
 coordinate = st.floats(-6, 6, allow_nan=False)
 
