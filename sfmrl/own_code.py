@@ -1,7 +1,7 @@
 """Rewards and policies that users write as Python functions: load them, check what they return, explain their errors.
 
-Their arguments are read-only, so that they cannot change a result. A reward that only a run or weights file names is
-`Untrusted` and is not run, since opening a file must not run code.
+Their arguments are read-only copies, so that they cannot change a result. A reward that only a run or weights file
+names is `Untrusted` and is not run, since opening a file must not run code.
 """
 
 import hashlib
@@ -10,48 +10,50 @@ import runpy
 import shlex
 import traceback
 from collections.abc import Callable
-from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sfmrl.config import Config, ConfigError, Reward, Settings, Untrusted, override, suggest
+from sfmrl.config import Config, ConfigError, Reward, Untrusted, override, suggest
+
+READ_ONLY = "what it is given is read-only: work on a copy, as numpy.array(...) makes one"
+HINTS = {  # what to change in a user's function, by a part of the error that it raises
+    "read-only": READ_ONLY,
+    "cannot assign to field": READ_ONLY,
+    "positional argument": "define it with two arguments, (transition, settings)",
+    "truth value of an array": "it is given whole arrays: choose with numpy.where or numpy.select instead of if",
+}
 
 
 class UntrustedReward(ConfigError):
     """A reward that is not run, because only a file names it, not the user."""
 
 
-def read_only(thing: Any, copy: bool = True) -> Any:
-    """A read-only copy of an array or of a dataclass of arrays, with views of the arrays in nested dataclasses.
-
-    The owner of a view can make it writeable again. Nested dataclasses (parts of a world) decide no outcome.
-    """
+def read_only(thing: Any) -> Any:
+    """A read-only copy of an array, or of a frozen dataclass and its arrays."""
     if isinstance(thing, np.ndarray):
-        thing = np.array(thing) if copy else thing.view()
+        thing = np.array(thing)  # not a view, which its owner could make writeable again
         thing.flags.writeable = False
-    elif is_dataclass(thing) and not isinstance(thing, Settings):
-        parts = {item.name: getattr(thing, item.name) for item in fields(thing)}
-        thing = replace(thing, **{name: read_only(part, not is_dataclass(part)) for name, part in parts.items()})
-    return thing
+        return thing
+    arrays = {name: read_only(part) for name, part in vars(thing).items() if isinstance(part, np.ndarray)}
+    return replace(thing, **arrays)
 
 
-def remedy(error: BaseException, arguments: str) -> str:
-    """How to correct a user's function, called where `error` was caught; "" if the error itself says it."""
-    if isinstance(error, FrozenInstanceError) or "read-only" in str(error):
-        return "; what it is given is read-only: work on a copy, as numpy.array(...) makes one"
-    if isinstance(error, TypeError) and error.__traceback__.tb_next is None:  # the call failed, nothing in the function
-        return f"; define it with two arguments, {arguments}"
-    if "truth value of an array" in str(error):
-        return "; it is given whole arrays: choose with numpy.where or numpy.select instead of if"
-    return "" if isinstance(error, Exception) else "; it must return, and not end the program"
-
-
-def fault(who: str, function: Callable, error: BaseException, remedy: str) -> ConfigError:
-    """The error to raise if a user's function has raised `error`: one line, with the number of its line of code."""
-    file = getattr(getattr(function, "__code__", None), "co_filename", "")
-    return ConfigError(f"{who}{_summary('failed', error, file)}{remedy}")
+def guarded(who: str, what: str, file: str, call: Callable[[], Any]) -> Any:
+    """What `call` returns; raises ConfigError if it raises anything, with the line in `file` where that happened."""
+    try:
+        return call()
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
+        lines += [error.lineno] if isinstance(error, SyntaxError) and error.filename == file else []
+        where = f" (line {lines[-1]})" if lines else ""
+        text = " ".join(f"{type(error).__name__}: {error}".rstrip(": ").split())
+        hint = next((f"; {hint}" for part, hint in HINTS.items() if part in text), "")
+        raise ConfigError(f"{who}{where} {what}: {text}{hint}") from error
 
 
 def checked_array(who: str, function: Callable, returned: Any, shape: tuple[int, ...], meaning: str) -> np.ndarray:
@@ -92,12 +94,8 @@ def load(name: str) -> Callable:
         )
     place, _, function = name.rpartition(":")
     file = _file(name)
-    try:
-        known = runpy.run_path(str(file)) if file else vars(importlib.import_module(place))
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:
-        raise ConfigError(f"reward {name}{_summary('cannot be imported', error, str(file))}") from error
+    run = runpy.run_path if file else lambda module: vars(importlib.import_module(module))
+    known = guarded(f"reward {name}", "cannot be imported", file, lambda: run(file or place))
     if not callable(known.get(function)):
         raise ConfigError(f"reward {name}: {place} has no function {function!r}{suggest(function, known)}")
     return known[function]
@@ -106,7 +104,7 @@ def load(name: str) -> Callable:
 def trusted(config: Config, trust: bool | str) -> Config:
     """The config, its reward allowed to be run if `trust` is True or names the same reward."""
     name = config.reward.reward
-    named = type(trust) is str and absolute(trust) == absolute(name)  # an Untrusted name is a file's
+    named = type(trust) is str and absolute(trust) == absolute(name)  # type: not Untrusted, which only a file names
     return override(config, {"reward": {"reward": str(name)}}) if trust is True or named else config
 
 
@@ -119,22 +117,14 @@ def absolute(name: str) -> str:
 def reward_digest(settings: Reward) -> str | None:
     """The SHA-256 of the file with a user's reward; None without a file. Raises ConfigError if it is missing."""
     file = _file(settings.reward)
-    return hashlib.sha256(file.read_bytes()).hexdigest() if file else None
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else None
 
 
-def _file(name: str) -> Path | None:
-    place = Path(name.rpartition(":")[0])
-    if place.suffix != ".py":
-        return None
-    if not place.is_file():
+def _file(name: str) -> str:
+    """The file in a reward's name, "" if it names none; raises ConfigError if it is missing."""
+    place = name.rpartition(":")[0]
+    if not place.endswith(".py"):
+        return ""
+    if not Path(place).is_file():
         raise ConfigError(f"reward {name}: there is no file {place}; put it there, or write its path as seen from here")
     return place
-
-
-def _summary(what: str, error: BaseException, file: str) -> str:
-    """An error in one line, after its line number in `file` (if it was raised there) and `what` happened."""
-    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-    lines += [error.lineno] if isinstance(error, SyntaxError) and error.filename == file else []
-    where = f" (line {lines[-1]})" if lines else ""
-    text = " ".join(f"{type(error).__name__}: {error}".split())
-    return f"{where} {what}: {text}".rstrip(": ")

@@ -13,7 +13,7 @@ import numpy as np
 from sfmrl.batch import Batch
 from sfmrl.config import ConfigError, Reward, suggest
 from sfmrl.geometry import length
-from sfmrl.own_code import checked_array, fault, kind, load, name_of, read_only, remedy
+from sfmrl.own_code import checked_array, guarded, kind, load, name_of, read_only
 
 RUNNING, SUCCESS, COLLISION, TIMEOUT = range(4)
 OUTCOMES = np.array(["running", "success", "collision", "timeout"])
@@ -101,16 +101,7 @@ def _cases(transition: Transition, p: Reward) -> tuple[np.ndarray, np.ndarray]:
 REWARDS = {"crowd": crowd_terms, "sfm": sfm_terms, "sfm-discount": sfm_discount_terms}
 
 
-def as_reward(reward: str | Reward | OwnReward) -> Reward | OwnReward:
-    """The argument of `reward_terms` that a user named; raises ConfigError unless it is a name, Reward or function."""
-    if isinstance(reward, str):
-        return Reward(reward=reward)
-    if isinstance(reward, Reward) or callable(reward):
-        return reward
-    raise ConfigError(f"reward is {kind(reward)}; it takes a name, a Reward, or a function of (transition, settings)")
-
-
-def reward_terms(reward: Reward | OwnReward) -> Callable[[Transition], Terms]:
+def reward_terms(reward: str | Reward | OwnReward) -> Callable[[Transition], Terms]:
     """The reward as a function from a transition to terms by name, which add up to the reward.
 
     A user's own (a function, or the name `file.py:function` or `package.module:function`) takes (transition, settings)
@@ -118,17 +109,22 @@ def reward_terms(reward: Reward | OwnReward) -> Callable[[Transition], Terms]:
     function are `Reward()`. Raises ConfigError if there is no such reward, and if a user's own one fails or returns
     another shape or numbers that are not finite; UntrustedReward if only a file names it.
     """
-    if not isinstance(reward, Reward):
+    if callable(reward):
         return _own_terms(reward, Reward(), name_of(reward))
-    name = reward.reward
+    if not isinstance(reward, (str, Reward)):
+        raise ConfigError(
+            f"reward is {kind(reward)}; it takes a name, a Reward, or a function of (transition, settings)"
+        )
+    settings = Reward(reward=reward) if isinstance(reward, str) else reward
+    name = settings.reward
     if name in REWARDS:
-        return lambda transition: REWARDS[name](transition, reward)
+        return lambda transition: REWARDS[name](transition, settings)
     if ":" not in name:
         known = ", ".join(REWARDS)
         raise ConfigError(
             f"there is no reward {name!r}; choose {known}, or your own as file.py:function{suggest(name, REWARDS)}"
         )
-    return _own_terms(load(name), reward, name)
+    return _own_terms(load(name), settings, name)
 
 
 def total(terms: Terms) -> np.ndarray:
@@ -137,14 +133,10 @@ def total(terms: Terms) -> np.ndarray:
 
 
 def _own_terms(own: OwnReward, settings: Reward, name: str) -> Callable[[Transition], Terms]:
+    who, file = f"reward {name}", own.__code__.co_filename if hasattr(own, "__code__") else ""
+
     def terms(transition: Transition) -> Terms:
-        try:
-            paid = own(read_only(transition), settings)
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:
-            raise fault(f"reward {name}", own, error, remedy(error, "(transition, settings)")) from error
-        shape = np.shape(transition.outcome)
-        return {"reward": checked_array(f"reward {name}", own, paid, shape, "one number a transition")}
+        paid = guarded(who, "failed", file, lambda: own(read_only(transition), settings))
+        return {"reward": checked_array(who, own, paid, np.shape(transition.outcome), "one number a transition")}
 
     return terms
