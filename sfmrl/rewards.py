@@ -21,15 +21,16 @@ OUTCOMES = np.array(["running", "success", "collision", "timeout"])
 
 @dataclass(frozen=True)
 class Transition(Batch):
-    """The arguments of a reward: one step of the robot, with any leading axes (...), as (E,), (E, A) or (E, T).
+    """What a reward is given: one step of the robot, with any leading axes (...), as (E,), (E, A) or (E, T).
 
     time (...): s, at the end of the step
-    time_step (...): s, the length of the step
+    time_step (...): s, how long the step takes
     velocity (..., 2): m/s, the robot's during the step (its action)
     preferred_velocity (..., 2): m/s, of length v_pref, from the start of the step towards the goal
     goal_distance_before (...): m, from the robot to its goal at the start of the step
     goal_distance (...): m, the same at the end of the step
-    separations (..., K): m, smallest gap to each element during the step; +inf to absent ones
+    separations (..., K): m, smallest gap to each element during the step; +inf where absent
+    separation (...): m, the smallest of these; +inf with no elements
     outcome (...): RUNNING, SUCCESS, COLLISION or TIMEOUT
     """
 
