@@ -115,10 +115,10 @@ def sample_scenes(
     """Sample episodes of an environment, or of a mix of them, each from its own seed.
 
     `environment` is one of `ENVIRONMENTS`, a mix ("1:0.7,2:0.3", "table1", "table2"), or a drawing "map:R.#.G/..#.."
-    (see `sfmrl.maps`); `episodes` is their number, or a list of their numbers. `people` is the number of
-    people on the circle that replace the environment's own, `people_speed` their preferred speed, m/s, and `circle` the
-    radius of the circle, m (default `circle_of(people)`). Row 0 is the robot, then come people, then squares. Raises ConfigError on unknown names, and
-    on numbers out of range.
+    (see `sfmrl.maps`); `episodes` is their number, or a list of their numbers. `people` is the number of people on the
+    circle that replace the environment's own, `people_speed` their preferred speed, m/s, and `circle` the radius of the
+    circle, m (default `circle_of(people)`). Row 0 is the robot, then come people, then squares. Raises ConfigError on
+    unknown names, and on numbers out of range.
     """
     shares, numbers = parse_mix(environment), _numbers(episodes)
     if phase not in PHASES:
