@@ -1,7 +1,6 @@
-"""Robot navigation among people, learnt: ORCA, the Social Force Model and SARL in NumPy, defined in torch.
+"""Robot navigation among people: ORCA, the Social Force Model and SARL in NumPy; the network is defined in torch.
 
-Names are imported when they are first used, so that `import sfmrl` costs nothing and torch is loaded only by what
-needs it.
+Names are imported when they are first used, so that `import sfmrl` is fast and torch is loaded only if it is needed.
 """
 
 from importlib import import_module
@@ -10,9 +9,9 @@ from typing import Any
 __version__ = "0.3.0"
 
 _HOME = {
-    "config": ("Config", "ConfigError", "Reinforcement", "Imitation", "Planner", "Reward", "Simulation", "SocialForce"),
+    "config": ("Config", "ConfigError", "Reinforcement", "Imitation", "Planner", "Reward", "Simulation"),
     "variants": ("make_config",),
-    "sfm": ("goal_force", "repulsive_forces", "resultant", "sfm_velocities"),
+    "sfm": ("SocialForce", "goal_force", "repulsive_forces", "resultant", "sfm_velocities"),
     "orca": ("orca_velocities",),
     "network": ("ValueNetwork",),
     "fast": ("FastNetwork",),
@@ -21,15 +20,8 @@ _HOME = {
     "scenes": ("Scenes", "sample_scenes"),
     "maps": ("read_map", "load_map", "draw_map"),
     "rewards": (
-        "RUNNING",
-        "SUCCESS",
-        "COLLISION",
-        "TIMEOUT",
-        "Transition",
-        "crowd_terms",
-        "sfm_terms",
-        "sfm_discount_terms",
-        "reward_terms",
+        *("RUNNING", "SUCCESS", "COLLISION", "TIMEOUT", "Transition"),
+        *("crowd_terms", "sfm_terms", "sfm_discount_terms", "reward_terms"),
     ),
     "states": ("robot_states", "column_names"),
     "world": ("World", "reset", "crowd_velocities", "transition", "advance"),
@@ -37,8 +29,7 @@ _HOME = {
     "recovery": ("RecoveringPolicy", "Geodesics", "plan", "solvable"),
     "policies": ("load_policy",),
     "episodes": ("Record", "play"),
-    "intervals": ("wilson",),
-    "evaluation": ("evaluate", "evaluation_record", "metrics"),
+    "evaluation": ("evaluate", "evaluation_record", "metrics", "wilson"),
     "study.social": ("social_metrics", "social_values"),
 }
 _WHERE = {name: module for module, names in _HOME.items() for name in names}

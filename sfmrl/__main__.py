@@ -1,15 +1,15 @@
-"""`sfmrl` and `python -m sfmrl`: what a signal does is settled first, then all is imported that takes time."""
+"""`sfmrl` and `python -m sfmrl`: set the signal handlers before the imports that take time."""
 
 import signal
 import sys
 
 
 def main() -> None:
-    """The command; SIGTERM and SIGHUP end it as Ctrl-C does, with 130 and one line, and the terminal is restored."""
+    """Run the command; SIGTERM and SIGHUP end it like Ctrl-C: one line, exit code 130, terminal restored."""
     try:
         for name in ("SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)  # Windows has no SIGHUP
-            if number and signal.getsignal(number) == signal.SIG_DFL:  # nohup has it ignored
+            if number and signal.getsignal(number) == signal.SIG_DFL:  # nohup ignores SIGHUP
                 signal.signal(number, signal.default_int_handler)
         from sfmrl.cli import main as command
 

@@ -1,4 +1,4 @@
-"""What scenes, worlds, transitions and records have in common: arrays whose leading axis is the episode."""
+"""Batches of episodes: dataclasses of arrays whose leading axis is the episode."""
 
 from typing import Any, Self
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 class Batch:
-    """A dataclass of arrays (E, ...), of parts that hold such arrays, and of settings that all episodes share."""
+    """A dataclass of arrays (E, ...), of parts with a `take` of their own, and of settings that all episodes share."""
 
     def take(self, rows: np.ndarray | slice) -> Self:
         """The same for some of the episodes: an index array, a mask or a slice."""

@@ -15,9 +15,9 @@ from sfmrl.batch import Batch
 from sfmrl.config import Config, ConfigError, Reward, Simulation, counted
 from sfmrl.geometry import length
 from sfmrl.lookahead import Notes, Policy, explained, step_discount
-from sfmrl.own_code import checked_array, fault, is_write, kind, name_of, read_only, takes_two
+from sfmrl.own_code import checked_array, kind, name_of, read_only
 from sfmrl.policies import find_policy
-from sfmrl.rewards import OUTCOMES, RUNNING, OwnReward, Terms, Transition, as_reward, reward_terms, total
+from sfmrl.rewards import OUTCOMES, RUNNING, OwnReward, Terms, Transition, reward_terms, total
 from sfmrl.scenes import Scenes
 from sfmrl.states import elements_within, robot_states
 from sfmrl.world import World, advance, crowd_velocities, reset, transition
@@ -117,13 +117,13 @@ def play(
         raise ConfigError(f"scenes is {kind(scenes)}; it takes Scenes, as sample_scenes('circle5', 100) makes them")
     simulation = Simulation(crowd=crowd, robot_visible=robot_visible, safety_space=safety_space)
     discount = Config(discount=discount).discount  # checks its range
-    return play_episodes(scenes, find_policy(policy, reward), as_reward(reward), simulation, discount=discount)
+    return play_episodes(scenes, find_policy(policy, reward), reward, simulation, discount=discount)
 
 
 def play_episodes(
     scenes: Scenes,
     policy: Policy,
-    reward: Reward | OwnReward,
+    reward: str | Reward | OwnReward,
     simulation: Simulation,
     *,
     discount: float = 0.9,
@@ -192,14 +192,8 @@ def _recorded(
 
 def _choice(policy: Policy, world: World, moves: np.ndarray, keep: bool) -> tuple[np.ndarray, Notes]:
     """The policy's actions (E, 2) in m/s, and its notes if `keep`; raises ConfigError if it returns anything else."""
-    name, notes = f"policy {name_of(policy)}", {}
-    try:
-        given = read_only(world), read_only(moves)
-        returned, notes = explained(policy, *given) if keep else (policy(*given), {})
-    except (ValueError, AttributeError, TypeError) as error:
-        if not is_write(error) and takes_two(policy):
-            raise
-        raise fault(name, policy, error, "(world, crowd_velocity)") from error
+    name, given = f"policy {name_of(policy)}", (read_only(world), read_only(moves))
+    returned, notes = explained(policy, *given) if keep else (policy(*given), {})
     action = checked_array(name, policy, returned, (len(world), 2), "a velocity (x, y) in m/s for each episode")
     speed, v_pref = length(action), world.v_pref[:, 0]
     if (speed > v_pref + TOLERANCE).any():

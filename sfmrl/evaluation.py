@@ -1,5 +1,6 @@
 """How good is a policy: the paper's metrics over test episodes, with intervals, overall and by environment."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -7,13 +8,13 @@ import numpy as np
 
 from sfmrl.config import EPISODES, Config, Reward, Simulation, in_range
 from sfmrl.episodes import Record, play_episodes
-from sfmrl.intervals import wilson
 from sfmrl.lookahead import Policy
 from sfmrl.policies import find_policy
-from sfmrl.rewards import OwnReward, as_reward
+from sfmrl.rewards import OwnReward
 from sfmrl.scenes import sample_scenes
 
 RATES = ("success", "collision", "timeout")
+Z = 1.959964  # the normal distribution's quantile for 95 %, two-sided
 
 
 class Metrics(dict[str, Any]):
@@ -53,7 +54,7 @@ def evaluation_record(
     in_range("episodes", episodes, 1, EPISODES)
     chosen = find_policy(policy, reward)
     own = getattr(chosen, "config", Config())
-    settings = own.reward if reward is None else as_reward(reward)
+    settings = own.reward if reward is None else reward
     environment = own.reinforcement.test_environment if environment is None else environment
     simulation = own.simulation if simulation is None else simulation
     scenes = sample_scenes(environment, episodes, seed, phase=phase, people=people, people_speed=people_speed)
@@ -119,3 +120,13 @@ def _summary(record: Record) -> dict[str, Any]:
         "total_reward": float(record.discounted_return.mean()),
         "intervals": {name: list(wilson(hits[name], count)) for name in RATES},
     }
+
+
+def wilson(successes: int, trials: int, z: float = Z) -> tuple[float, float]:
+    """The Wilson score interval of a rate, 95 % by default (Wilson, 1927)."""
+    if trials == 0:
+        return 0.0, 1.0
+    rate, spread = successes / trials, z * z / trials
+    centre = (rate + spread / 2) / (1 + spread)
+    half = z * math.sqrt(rate * (1 - rate) / trials + spread / (4 * trials)) / (1 + spread)
+    return max(centre - half, 0.0), min(centre + half, 1.0)

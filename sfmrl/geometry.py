@@ -1,7 +1,7 @@
-"""Plane geometry for whole batches: unit vectors, and how close moving discs and squares come.
+"""Plane geometry for whole batches: lengths and directions of vectors, gaps to discs and squares.
 
-Every function takes arrays whose last axis is (x, y) and whose leading axes broadcast, and uses only
-operations that give the same bits whatever the shape of the batch.
+The last axis of every array is (x, y); the leading axes broadcast. All operations give the same bits whatever the shape
+of the batch.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 
 def numbers(name: str, value: ArrayLike) -> np.ndarray:
-    """`value` as an array of floats; raises ValueError, with the argument's `name`, where it is none."""
+    """`value` as an array of floats; raises ValueError, with the argument's `name`, if that is impossible."""
     try:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
@@ -17,7 +17,7 @@ def numbers(name: str, value: ArrayLike) -> np.ndarray:
 
 
 def vectors(name: str, value: ArrayLike) -> np.ndarray:
-    """`value` as an array of floats (..., 2); raises ValueError, with the argument's `name`, where it is none."""
+    """`value` as an array of floats (..., 2); raises ValueError, with the argument's `name`, for other shapes."""
     value = numbers(name, value)
     if value.shape[-1:] != (2,):
         raise ValueError(f"{name} must have shape (..., 2), not {value.shape}")
@@ -25,7 +25,7 @@ def vectors(name: str, value: ArrayLike) -> np.ndarray:
 
 
 def broadcast(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
-    """`value` as floats of a `shape` that it broadcasts to; raises ValueError, with its `name`, where it does not."""
+    """`value` as floats, broadcast to a `shape`; raises ValueError, with the argument's `name`, if it does not."""
     value = numbers(name, value)
     try:
         return value if value.shape == shape else np.broadcast_to(value, shape)
@@ -34,7 +34,7 @@ def broadcast(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray
 
 
 def length(vector: np.ndarray) -> np.ndarray:
-    """Euclidean length over the last axis: (..., 2) -> (...)."""
+    """Euclidean length, (..., 2) -> (...)."""
     return np.sqrt(vector[..., 0] * vector[..., 0] + vector[..., 1] * vector[..., 1])
 
 
@@ -45,16 +45,16 @@ def direction(vector: np.ndarray) -> np.ndarray:
 
 
 def limit(vector: np.ndarray, longest: np.ndarray) -> np.ndarray:
-    """Each vector, cut to `longest` where it is longer: (..., 2), (...) -> (..., 2)."""
+    """Each vector, shortened to `longest` if it is longer: (..., 2), (...) -> (..., 2)."""
     norm = length(vector)
     longer = norm > longest
     return vector * np.where(longer, longest / np.where(longer, norm, 1.0), 1.0)[..., None]
 
 
 def square_gap(offset: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance from an axis-aligned square's outline (m, negative inside), and the unit vector straight away from it.
+    """Distance from the outline of an axis-aligned square, m (...), and the unit vector straight away from it (..., 2).
 
-    `offset` (..., 2) leads from the square's centre, `half` (...) is half its side, in m; (...) and (..., 2).
+    `offset` (..., 2) m leads from the square's centre, `half` (...) m is half its side. Inside, distances are negative.
     """
     beyond = np.abs(offset) - half[..., None]
     x, y = beyond[..., 0], beyond[..., 1]
@@ -67,11 +67,10 @@ def square_gap(offset: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.nda
 def closest_approach(
     offset: np.ndarray, relative_velocity: np.ndarray, duration: float, half: np.ndarray | float = 0.0
 ) -> np.ndarray:
-    """Smallest distance (m) between a point and a square of side 2 `half` in straight motion during `duration` seconds.
+    """Smallest distance, m (...), between a point and an axis-aligned square in straight motion for `duration` s.
 
-    `offset` (..., 2) leads from one to the other's centre at the start, `relative_velocity` (..., 2) is its rate of
-    change in m/s; the square's sides are parallel to the axes, and with `half` 0 it is a point. The result has their
-    broadcast shape without the last axis.
+    `offset` (..., 2) m leads from one's centre to the other's at the start, `relative_velocity` (..., 2) m/s is its
+    rate of change, `half` (...) m is half the square's side: 0 for a point.
     """
     px, py = offset[..., 0], offset[..., 1]
     vx, vy = relative_velocity[..., 0], relative_velocity[..., 1]

@@ -1,88 +1,71 @@
 """Rewards and policies that users write as Python functions: load them, check what they return, explain their errors.
 
-Their arguments are read-only, so that they cannot forge a result. Each mistake in them is reported in one line.
-A reward that a run or a weights file names is `Untrusted` and is not run: opening a file must not run code.
+Their arguments are read-only copies, so that they cannot change a result. A reward that only a run or weights file
+names is `Untrusted` and is not run, since opening a file must not run code.
 """
 
 import hashlib
 import importlib
-import inspect
 import runpy
 import shlex
 import traceback
 from collections.abc import Callable
-from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sfmrl.config import Config, ConfigError, Reward, Untrusted, suggest
+from sfmrl.config import Config, ConfigError, Reward, Untrusted, override, suggest
+
+READ_ONLY = "what it is given is read-only: work on a copy, as numpy.array(...) makes one"
+HINTS = {  # what to change in a user's function, by a part of the error that it raises
+    "read-only": READ_ONLY,
+    "cannot assign to field": READ_ONLY,
+    "positional argument": "define it with two arguments, (transition, settings)",
+    "truth value of an array": "it is given whole arrays: choose with numpy.where or numpy.select instead of if",
+}
 
 
 class UntrustedReward(ConfigError):
     """A reward that is not run, because only a file names it, not the user."""
 
 
-def read_only(thing: Any, copy: bool = True) -> Any:
-    """A copy of an array, or of a dataclass of arrays, that cannot be written to; nested dataclasses become views.
-
-    A view would not do for the outer arrays, since its owner could make it writeable again. Nested dataclasses (the
-    parts of a world) decide no outcome.
-    """
+def read_only(thing: Any) -> Any:
+    """A read-only copy of an array, or of a frozen dataclass and its arrays."""
     if isinstance(thing, np.ndarray):
-        thing = np.array(thing) if copy else thing.view()
+        thing = np.array(thing)  # not a view, which its owner could make writeable again
         thing.flags.writeable = False
-    elif is_dataclass(thing):
-        parts = {item.name: getattr(thing, item.name) for item in fields(thing)}
-        copies = {name: read_only(part, copy and not is_dataclass(part)) for name, part in parts.items()}
-        if any(copies[name] is not part for name, part in parts.items()):
-            return replace(thing, **copies)
-    return thing
+        return thing
+    arrays = {name: read_only(part) for name, part in vars(thing).items() if isinstance(part, np.ndarray)}
+    return replace(thing, **arrays)
 
 
-def is_write(error: BaseException) -> bool:
-    """Whether `error` was raised by an attempt to change something `read_only`."""
-    return isinstance(error, FrozenInstanceError) or (type(error) is ValueError and "read-only" in str(error))
-
-
-def takes_two(function: Callable) -> bool:
-    """Whether a function takes two arguments, as rewards and policies must."""
+def guarded(who: str, what: str, file: str, call: Callable[[], Any]) -> Any:
+    """What `call` returns; raises ConfigError if it raises anything, with the line in `file` where that happened."""
     try:
-        inspect.signature(function).bind(None, None)
-    except TypeError:
-        return False
-    except ValueError:  # compiled, without a signature
-        pass
-    return True
-
-
-def fault(who: str, function: Callable, error: BaseException, arguments: str) -> ConfigError:
-    """Make the error to raise when a user's function has raised `error`: its line of code, and what to change."""
-    if is_write(error):
-        remedy = "what it is given is read-only: work on a copy, as numpy.array(...) makes one"
-    elif isinstance(error, TypeError) and not takes_two(function):
-        remedy = f"define it with two arguments, {arguments}"
-    elif type(error) is ValueError and "truth value of an array" in str(error):
-        remedy = "it is given whole arrays: choose with numpy.where or numpy.select instead of if"
-    elif isinstance(error, Exception):
-        remedy = "correct that line"
-    else:
-        remedy = "it must return, and not end the program"
-    file = getattr(getattr(function, "__code__", None), "co_filename", "")
-    return ConfigError(f"{who}{_line(error, file)} failed: {_text(error)}; {remedy}")
+        return call()
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
+        lines += [error.lineno] if isinstance(error, SyntaxError) and error.filename == file else []
+        where = f" (line {lines[-1]})" if lines else ""
+        text = " ".join(f"{type(error).__name__}: {error}".rstrip(": ").split())
+        hint = next((f"; {hint}" for part, hint in HINTS.items() if part in text), "")
+        raise ConfigError(f"{who}{where} {what}: {text}{hint}") from error
 
 
 def checked_array(who: str, function: Callable, returned: Any, shape: tuple[int, ...], meaning: str) -> np.ndarray:
-    """Convert what a user's function returned to floats; raises ConfigError if not finite and of this shape."""
-    line = getattr(getattr(function, "__code__", None), "co_firstlineno", None)
-    who += f" (line {line})" if line else ""
+    """What a user's function returned, as floats; raises ConfigError unless they are finite and of this shape."""
+    if hasattr(function, "__code__"):
+        who += f" (line {function.__code__.co_firstlineno})"
     try:
-        array = None if returned is None else np.asarray(returned, dtype=float)
+        array = np.asarray(returned, dtype=float)
     except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor that requires a gradient
-        array = None
-    if array is None or array.shape != shape:
-        what = kind(returned) if array is None or not array.ndim else f"an array of shape {array.shape}"
+        array = np.array(np.nan)
+    if array.shape != shape:
+        what = f"an array of shape {array.shape}" if array.ndim else kind(returned)
         raise ConfigError(f"{who} returned {what}; it must return an array of shape {shape}, {meaning}")
     if not np.isfinite(array).all():
         raise ConfigError(f"{who} returned NaN or infinity; it must return finite numbers, {meaning}")
@@ -100,7 +83,7 @@ def kind(thing: Any) -> str:
 
 
 def load(name: str) -> Callable:
-    """Load the function that "file.py:function" or "package.module:function" names.
+    """The function that "file.py:function" or "package.module:function" names.
 
     Raises UntrustedReward if only a file names it, ConfigError if there is no such function.
     """
@@ -111,26 +94,22 @@ def load(name: str) -> Callable:
         )
     place, _, function = name.rpartition(":")
     file = _file(name)
-    try:
-        known = runpy.run_path(str(file)) if file else vars(importlib.import_module(place))
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:
-        raise ConfigError(f"reward {name}{_line(error, str(file))} cannot be imported: {_text(error)}") from error
+    run = runpy.run_path if file else lambda module: vars(importlib.import_module(module))
+    known = guarded(f"reward {name}", "cannot be imported", file, lambda: run(file or place))
     if not callable(known.get(function)):
         raise ConfigError(f"reward {name}: {place} has no function {function!r}{suggest(function, known)}")
     return known[function]
 
 
 def trusted(config: Config, trust: bool | str) -> Config:
-    """Allow the config's reward to be run if `trust` is True or names the same reward."""
+    """The config, its reward allowed to be run if `trust` is True or names the same reward."""
     name = config.reward.reward
-    named = type(trust) is str and absolute(trust) == absolute(name)
-    return replace(config, reward=replace(config.reward, reward=str(name))) if trust is True or named else config
+    named = type(trust) is str and absolute(trust) == absolute(name)  # type: not Untrusted, which only a file names
+    return override(config, {"reward": {"reward": str(name)}}) if trust is True or named else config
 
 
 def absolute(name: str) -> str:
-    """Make the path in a reward's name absolute, if it has one, so that the file is found from any folder."""
+    """A reward's name with an absolute path, if it has a path, so that the file is found from any folder."""
     place, colon, function = name.rpartition(":")
     return f"{Path(place).resolve()}{colon}{function}" if place.endswith(".py") else name
 
@@ -138,26 +117,14 @@ def absolute(name: str) -> str:
 def reward_digest(settings: Reward) -> str | None:
     """The SHA-256 of the file with a user's reward; None without a file. Raises ConfigError if it is missing."""
     file = _file(settings.reward)
-    return hashlib.sha256(file.read_bytes()).hexdigest() if file else None
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else None
 
 
-def _file(name: str) -> Path | None:
+def _file(name: str) -> str:
+    """The file in a reward's name, "" if it names none; raises ConfigError if it is missing."""
     place = name.rpartition(":")[0]
     if not place.endswith(".py"):
-        return None
+        return ""
     if not Path(place).is_file():
         raise ConfigError(f"reward {name}: there is no file {place}; put it there, or write its path as seen from here")
-    return Path(place)
-
-
-def _line(error: BaseException, file: str) -> str:
-    """The line of `file` that raised an exception, as " (line 7)"; "" if none did."""
-    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-    if isinstance(error, SyntaxError) and error.filename == file:
-        lines.append(error.lineno)
-    return f" (line {lines[-1]})" if lines else ""
-
-
-def _text(error: BaseException) -> str:
-    """An exception in one line."""
-    return " ".join(f"{type(error).__name__}: {error}".rstrip(": ").split())
+    return place

@@ -1,8 +1,8 @@
-"""Rewards as pure functions: a transition's arrays in, the reward's named terms out.
+"""Rewards as pure functions: the arrays of a transition in, the named terms of the reward out.
 
 `crowd` is CrowdNav's sparse reward, `sfm` the paper's dense one, `sfm-discount` the same with a cost for arriving late.
-The episode's end is judged by the simulator (`outcome`), in CrowdNav's order: time-out, collision, goal, too close;
-the paper's formulas are silent on time-outs (worth 0, as in CrowdNav) and list the goal after discomfort.
+The simulator judges the episode's end (`outcome`) in CrowdNav's order: time-out, collision, goal, too close. The paper
+does not mention time-outs (worth 0, as in CrowdNav), and lists the goal after discomfort.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ import numpy as np
 from sfmrl.batch import Batch
 from sfmrl.config import ConfigError, Reward, suggest
 from sfmrl.geometry import length
-from sfmrl.own_code import checked_array, fault, kind, load, name_of, read_only
+from sfmrl.own_code import checked_array, guarded, kind, load, name_of, read_only
 
 RUNNING, SUCCESS, COLLISION, TIMEOUT = range(4)
 OUTCOMES = np.array(["running", "success", "collision", "timeout"])
@@ -45,19 +45,20 @@ class Transition(Batch):
 
     @property
     def separation(self) -> np.ndarray:
-        """Smallest gap to any element during the step, m (...); +inf with no elements."""
+        """Smallest gap to any element during the step, m (...); +inf without elements."""
         return self.separations.min(axis=-1, initial=np.inf)
 
     def __getitem__(self, index) -> "Transition":
-        """The transition of some of the leading axes' entries."""
+        """The same with all arrays indexed along their leading axes."""
         return Transition(*(getattr(self, item.name)[index] for item in fields(self)))
 
 
 Terms = dict[str, np.ndarray]
+OwnReward = Callable[[Transition, Reward], np.ndarray]
 
 
 def crowd_terms(transition: Transition, p: Reward) -> Terms:
-    """CrowdNav's reward, the paper's first formula; its slope is for a step of 0.25 s: terms by name, each (...)."""
+    """CrowdNav's reward, the paper's first formula, whose slope is for a step of 0.25 s: terms by name, each (...)."""
     end, close = _cases(transition, p)
     discomfort = p.discomfort_slope * (transition.separation - p.discomfort_distance) * (transition.time_step / 0.25)
     return {
@@ -74,8 +75,7 @@ def sfm_terms(transition: Transition, p: Reward) -> Terms:
     """
     end, close = _cases(transition, p)
     free = (end == RUNNING) & ~close
-    # A gap of +inf (nobody there) or of a deep overlap is never "close"; keep exp away from both.
-    gap = np.clip(transition.separation, 0.0, p.discomfort_distance)
+    gap = np.clip(transition.separation, 0.0, p.discomfort_distance)  # exp must not overflow where it does not count
     off = length(p.k * (transition.velocity - transition.preferred_velocity))
     return {
         "collision": np.where(end == COLLISION, p.collision, 0.0),
@@ -94,64 +94,50 @@ def sfm_discount_terms(transition: Transition, p: Reward) -> Terms:
 
 
 def _cases(transition: Transition, p: Reward) -> tuple[np.ndarray, np.ndarray]:
+    """The outcomes (...), and which steps go on but are too close to an element (...)."""
     end = np.asarray(transition.outcome)
     return end, (end == RUNNING) & (transition.separation < p.discomfort_distance)
 
 
-OwnReward = Callable[[Transition, Reward], np.ndarray]
-REWARDS: dict[str, Callable[[Transition, Reward], Terms]] = {
-    "crowd": crowd_terms,
-    "sfm": sfm_terms,
-    "sfm-discount": sfm_discount_terms,
-}
+REWARDS = {"crowd": crowd_terms, "sfm": sfm_terms, "sfm-discount": sfm_discount_terms}
 
 
-def as_reward(reward: str | Reward | OwnReward) -> Reward | OwnReward:
-    """What `reward_terms` takes, from a reward's name too; raises ConfigError for anything else."""
-    if isinstance(reward, str):
-        return Reward(reward=reward)
-    if isinstance(reward, Reward) or callable(reward):
-        return reward
-    raise ConfigError(f"reward is {kind(reward)}; it takes a name, a Reward, or a function of (transition, settings)")
-
-
-def reward_terms(reward: Reward | OwnReward) -> Callable[[Transition], Terms]:
-    """The reward that `reward` is or names, as a function from a transition to terms by name that add up to the reward.
+def reward_terms(reward: str | Reward | OwnReward) -> Callable[[Transition], Terms]:
+    """The reward as a function from a transition to terms by name, which add up to the reward.
 
     A user's own (a function, or the name `file.py:function` or `package.module:function`) takes (transition, settings)
-    and returns an array (...), which becomes the one term "reward". Its arrays are copies, and read-only; a function's
-    settings are `Reward()`. Raises ConfigError where there is no such reward, and where an own one fails or returns
-    another shape or numbers that are not finite; UntrustedReward where a file has named it and not the user.
+    and returns an array (...), which becomes the one term "reward". Its arrays are read-only copies; the settings of a
+    function are `Reward()`. Raises ConfigError if there is no such reward, and if a user's own one fails or returns
+    another shape or numbers that are not finite; UntrustedReward if only a file names it.
     """
-    if not isinstance(reward, Reward):
+    if callable(reward):
         return _own_terms(reward, Reward(), name_of(reward))
-    name = reward.reward
-    if name in REWARDS:
-        return lambda transition: REWARDS[name](transition, reward)
-    if ":" not in name:
+    if not isinstance(reward, (str, Reward)):
         raise ConfigError(
-            f"there is no reward {name!r}; choose {', '.join(REWARDS)}, or your own as file.py:function"
-            f"{suggest(name, REWARDS)}"
+            f"reward is {kind(reward)}; it takes a name, a Reward, or a function of (transition, settings)"
         )
-    return _own_terms(load(name), reward, name)
+    settings = Reward(reward=reward) if isinstance(reward, str) else reward
+    name = settings.reward
+    if name in REWARDS:
+        return lambda transition: REWARDS[name](transition, settings)
+    if ":" not in name:
+        known = ", ".join(REWARDS)
+        raise ConfigError(
+            f"there is no reward {name!r}; choose {known}, or your own as file.py:function{suggest(name, REWARDS)}"
+        )
+    return _own_terms(load(name), settings, name)
 
 
 def total(terms: Terms) -> np.ndarray:
-    """The reward that terms add up to, (...), summed in their order."""
+    """The sum of a reward's terms, (...), added in their order."""
     return sum(terms.values())
 
 
 def _own_terms(own: OwnReward, settings: Reward, name: str) -> Callable[[Transition], Terms]:
-    """The terms of a user's own reward, called `name` in errors: what it returns for a copy that it cannot write to."""
+    who, file = f"reward {name}", own.__code__.co_filename if hasattr(own, "__code__") else ""
 
     def terms(transition: Transition) -> Terms:
-        try:
-            paid = own(read_only(transition), settings)
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:
-            raise fault(f"reward {name}", own, error, "(transition, settings)") from error
-        shape = np.shape(transition.outcome)
-        return {"reward": checked_array(f"reward {name}", own, paid, shape, "one number a transition")}
+        paid = guarded(who, "failed", file, lambda: own(read_only(transition), settings))
+        return {"reward": checked_array(who, own, paid, np.shape(transition.outcome), "one number a transition")}
 
     return terms

@@ -1,16 +1,32 @@
-"""The Social Force Model: what pulls an agent to its goal and pushes it from everything else.
+"""The Social Force Model: the goal attracts an agent, everything else repels it.
 
-Equations 1-3 of Gil and Sanfeliu, after Helbing and Molnar (1995). In the paper, which describes a robot's
-surroundings, distances are from centre to centre. Agents who move by the model have sizes, as in Helbing and Molnar:
-they repel each other from surface to surface, and squares repel them from their outline. Not modelled: a field of view
-(anisotropy), contact forces, and groups.
+Equations 1-3 of Gil and Sanfeliu, after Helbing and Molnar (1995). In the paper, distances are from centre to centre;
+agents that move by the model repel each other from surface to surface, and squares repel them from their outline, as in
+Helbing and Molnar. Left out: a field of view (anisotropy), contact forces, and groups.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sfmrl.config import SocialForce
+from sfmrl.config import Settings, knob
 from sfmrl.geometry import broadcast, direction, length, limit, square_gap, vectors
+
+
+@dataclass(frozen=True)
+class SocialForce(Settings):
+    """Parameters of equations 1 and 2; the defaults are the paper's, for the robot's state."""
+
+    a: float = knob(1.0, "strength of the repulsion, m/s^2 (paper: a_z = 1)", 0, 1000)
+    b: float = knob(1.0, "range of the repulsion, m (paper: b_z = 1)", 0.01, 1000)
+    d: float = knob(0.0, "distance at which the repulsion is a, m (paper: d_z = 0)", -3, 3)
+    k: float = knob(2.0, "rate at which the goal force corrects the velocity, 1/s", 0, 1000)
+
+
+# Helbing and Molnar's 2.1 m^2/s^2 over 0.3 m, from surface to surface, and their relaxation time of 0.5 s, for
+# `--crowd sfm`. With the paper's (1, 1, 0), from centre to centre, people would walk through each other.
+CROWD_FORCE = SocialForce(a=7.0, b=0.3, d=0.0, k=2.0)
 
 
 def goal_force(preferred_velocity: ArrayLike, velocity: ArrayLike, k: float) -> np.ndarray:
@@ -21,24 +37,15 @@ def goal_force(preferred_velocity: ArrayLike, velocity: ArrayLike, k: float) -> 
 def repulsive_forces(offset: ArrayLike, force: SocialForce = SocialForce()) -> np.ndarray:
     """Repulsion of each element on an agent, equation 2: a exp((d - distance) / b) away from the element.
 
-    `offset` (..., 2) leads from the element to the agent, in metres; the result has its shape. At zero distance
-    there is no direction, and no force. Raises ValueError for other shapes.
+    `offset` (..., 2) m leads from the element to the agent; the result has its shape. At zero distance the force is 0.
     """
     offset = vectors("offset", offset)
-    return _repulsion(force.d - length(offset), force)[..., None] * direction(offset)
-
-
-def _repulsion(overlap: np.ndarray, force: SocialForce) -> np.ndarray:
-    """Strength of the repulsion in m/s^2 where two surfaces overlap by `overlap` m (negative: are that far apart)."""
-    return force.a * np.exp(overlap / force.b)
+    strength = force.a * np.exp((force.d - length(offset)) / force.b)
+    return strength[..., None] * direction(offset)
 
 
 def resultant(forces: ArrayLike) -> np.ndarray:
-    """Sum of the elements' repulsions (..., K, 2) -> (..., 2); elements that are absent (NaN) push nobody.
-
-    The paper's F in the robot's state: repulsive forces only, without the pull of the goal. Raises ValueError for
-    other shapes.
-    """
+    """Sum of repulsions (..., K, 2) -> (..., 2), the paper's F in the robot's state; absent elements (NaN) add 0."""
     forces = vectors("forces", forces)
     if forces.ndim < 2:
         raise ValueError(f"forces must have shape (..., K, 2), not {forces.shape}")
@@ -60,13 +67,12 @@ def sfm_velocities(
     radius: ArrayLike = 0.0,
     square: ArrayLike = False,
 ) -> np.ndarray:
-    """Velocities after one time step under equation 3, cut to the speed limit: (E, N, 2) in m/s.
+    """Velocities after one time step under equation 3, cut to `max_speed`: (E, N, 2) in m/s.
 
     `position`, `velocity`, `preferred_velocity` (E, N, 2) in m and m/s; `max_speed` in m/s, `radius` in m and `square`
-    broadcast to (E, N). The distances in equation 2 are from surface to surface: between discs of `radius`, or from
-    the outline of rows that are a `square` of side 2 radius. The force is an acceleration (unit mass), held for
-    `time_step` seconds. Squares rest; absent agents (NaN position) push nobody and come back NaN. Raises ValueError for
-    other shapes.
+    broadcast to (E, N). Distances are between the surfaces of discs of `radius` and of squares of side 2 `radius`. The
+    force is an acceleration (unit mass), constant for `time_step` s. Squares rest; absent agents (NaN position) exert
+    no force and return NaN. Raises ValueError for other shapes.
     """
     position = vectors("position", position)
     if position.ndim != 3:
@@ -76,7 +82,6 @@ def sfm_velocities(
     preferred_velocity = broadcast("preferred_velocity", preferred_velocity, position.shape)
     max_speed, radius = broadcast("max_speed", max_speed, shape), broadcast("radius", radius, shape)
     square = broadcast("square", square, shape) != 0
-
     offset = position[:, :, None, :] - position[:, None, :, :]  # (E, N, N, 2), from the second to the first
     overlap = force.d + (radius[:, :, None] + radius[:, None]) - length(offset)
     away = direction(offset)
@@ -84,7 +89,8 @@ def sfm_velocities(
         gap, out = square_gap(offset, radius[:, None])
         overlap = np.where(square[:, None], force.d + radius[:, :, None] - gap, overlap)
         away = np.where(square[:, None, :, None], out, away)
-    push = resultant(_repulsion(overlap, force)[..., None] * away)
-    moved = limit(velocity + time_step * (goal_force(preferred_velocity, velocity, force.k) + push), max_speed)
+    push = resultant((force.a * np.exp(overlap / force.b))[..., None] * away)
+    pull = goal_force(preferred_velocity, velocity, force.k)
+    moved = limit(velocity + time_step * (pull + push), max_speed)
     moved[square] = 0.0
     return np.where(np.isnan(position), np.nan, moved)

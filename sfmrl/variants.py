@@ -1,7 +1,4 @@
-"""The paper's variants and the presets, as data: what each changes in the plain config.
-
-The plain config is the paper's SARL; a variant is a row of its table 1, a preset a schedule.
-"""
+"""The paper's variants and the presets, as data: what each changes in the plain config, which is the paper's SARL."""
 
 from typing import Any
 
@@ -20,13 +17,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "mirror": True,
         "sparse": 0.1,
         "planner": {"recover": True},
-        "imitation": {
-            "episodes": 1000,
-            "epochs": 6,
-            "batch_size": 200,
-            "learning_rate": 2e-3,
-            "refit": False,
-        },
+        "imitation": {"episodes": 1000, "epochs": 6, "batch_size": 200, "learning_rate": 2e-3, "refit": False},
         "reinforcement": {
             "episodes": 1000,
             "parallel": 32,
@@ -56,7 +47,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 
 def make_config(preset: str = "quick", variant: str = "sarl", **changes: Any) -> Config:
-    """The config of a preset and a variant with single settings changed; raises ConfigError on unknown names."""
+    """The config of a preset and a variant with further `changes`; raises ConfigError on unknown names."""
     for kind, name, table in (("preset", preset, PRESETS), ("variant", variant, VARIANTS)):
         if name not in table:
             raise ConfigError(f"there is no {kind} {name!r}; choose {', '.join(table)}{suggest(name, table)}")
@@ -65,11 +56,13 @@ def make_config(preset: str = "quick", variant: str = "sarl", **changes: Any) ->
 
 
 def variant_name(config: Config) -> str:
-    """The paper's name for a config's reward, state and environments, or a description where it has none."""
+    """The paper's name for a config's reward, state and environments, or a description if it has none."""
+
+    def chosen(config: Config) -> tuple:
+        return config.reward, config.forces, config.reinforcement.environment
+
     for name in VARIANTS:
-        known = make_config(config.preset, name)
-        same = (config.reward, config.forces, config.reinforcement.environment)
-        if same == (known.reward, known.forces, known.reinforcement.environment):
+        if chosen(config) == chosen(make_config(config.preset, name)):
             return name
     reward = config.reward.reward.rpartition(":")[2]
     return f"custom-{reward}{'-forces' if config.forces else ''}"

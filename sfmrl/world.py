@@ -1,9 +1,8 @@
-"""The simulator: a world of E episodes, what its crowd does next, and what a robot's action leads to.
+"""The simulator: E episodes side by side, what their crowd does next, and what a robot's action leads to.
 
-Pure functions over a frozen `World`. A step is: `crowd_velocities` (which do not depend on the robot's action),
-the policy's choice, `transition` (the one place where outcomes are judged), `advance`. The lookahead calls the same
-`transition` with every action at once. CrowdNav's conventions hold: the gap to a person is the smallest during the
-step, in which the robot moves with its action and the person as before the step; a time-out comes before anything else.
+A step is: `crowd_velocities` (independent of the robot's action), the policy's choice, `transition` (the one place that
+judges outcomes), `advance`. The lookahead calls `transition` with all actions at once. As in CrowdNav, the gap to a
+person is the smallest during the step, in which the robot moves with its action and the person as before the step.
 """
 
 from dataclasses import dataclass, replace
@@ -11,12 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sfmrl.batch import Batch
-from sfmrl.config import CROWD_FORCE, Simulation
+from sfmrl.config import Simulation
 from sfmrl.geometry import closest_approach, direction, length, limit, square_gap
 from sfmrl.orca import Edges, orca_velocities, polygon_edges
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenes import Scenes
-from sfmrl.sfm import sfm_velocities
+from sfmrl.sfm import CROWD_FORCE, sfm_velocities
 
 
 @dataclass(frozen=True)
@@ -56,30 +55,27 @@ class World(Batch):
 
     @property
     def shape(self) -> tuple[np.ndarray, np.ndarray]:
-        """Half sides of solid squares (0 for discs) and radii of discs (0 for solid squares), each (E, N) m."""
+        """Half the sides of solid squares (0 for discs) and radii of discs (0 for solid squares), each (E, N) m."""
         solid = self.square & (self.simulation.squares == "solid")
         return np.where(solid, self.radius, 0.0), np.where(solid, 0.0, self.radius)
 
     @property
     def gap(self) -> np.ndarray:
-        """From the robot's edge to each element's, (E, N - 1) m, NaN where absent."""
+        """Gap from the robot to each element, (E, N - 1) m, NaN for absent ones."""
         half, radius = self.shape
         return square_gap(self.position[:, 1:] - self.position[:, :1], half[:, 1:])[0] - radius[:, 1:] - radius[:, :1]
 
     @property
     def preferred_velocity(self) -> np.ndarray:
-        """Towards each agent's goal with v_pref, slower (as in CrowdNav) on the last metre or so, (E, N, 2) m/s."""
+        """Towards each agent's goal with v_pref, in CrowdNav's way slower on the last metre, (E, N, 2) m/s."""
         return limit(self.goal - self.position, self.v_pref)
 
     def ahead(self, action: np.ndarray) -> np.ndarray:
-        """Where the robot will be after a step with `action` (E, 2) or (E, A, 2) in m/s: m, in its shape."""
+        """The robot's position in m after a step with `action`, (E, 2) or (E, A, 2) in m/s."""
         return self.position[:, 0][_axes(action)] + action * self.simulation.time_step
 
     def with_elements(self, chosen: np.ndarray) -> "World":
-        """The world with the `chosen` elements, (E, N - 1) bool, and without most of the others.
-
-        Arrays stay rectangular: episodes in which fewer are chosen keep some of the others as padding.
-        """
+        """The world with the `chosen` elements, (E, N - 1) bool; episodes with fewer keep others as padding."""
         most = int(chosen.sum(1).max(initial=0))
         if most == chosen.shape[1]:
             return self
@@ -90,11 +86,10 @@ class World(Batch):
 
 
 def reset(scenes: Scenes, simulation: Simulation = Simulation()) -> World:
-    """The world in which all `scenes` stand at their starts, everybody at rest."""
-    velocity = np.where(np.isnan(scenes.start), np.nan, 0.0)
+    """The world at the start of all `scenes`, everybody at rest."""
     return World(
         position=scenes.start,
-        velocity=velocity,
+        velocity=np.where(np.isnan(scenes.start), np.nan, 0.0),
         steps=np.zeros(len(scenes), dtype=int),
         goal=scenes.goal,
         radius=scenes.radius,
@@ -109,7 +104,7 @@ def reset(scenes: Scenes, simulation: Simulation = Simulation()) -> World:
 def crowd_velocities(world: World) -> np.ndarray:
     """Everybody's velocities in the coming step, (E, N, 2) m/s; squares rest, absent rows are NaN.
 
-    Row 0 is how the crowd's model would move the robot as one of its own; NaN where the people do not see the robot.
+    Row 0 is how the crowd's model would move the robot; NaN if the people do not see the robot.
     """
     position = world.position
     if not world.simulation.robot_visible:
@@ -123,12 +118,10 @@ def crowd_velocities(world: World) -> np.ndarray:
 def orca_crowd(
     world: World, position: np.ndarray, agents: np.ndarray | None = None, safety_space: float = 0.0
 ) -> np.ndarray:
-    """ORCA's velocities (E, N, 2) for those of `agents` (E, N), or all; `safety_space` m is added to every radius."""
+    """ORCA's velocities (E, N, 2) for `agents` (E, N), or all; `safety_space` m is added to every radius."""
     simulation = world.simulation
-    position = position.copy()
-    position[world.square] = np.nan
     return orca_velocities(
-        position,
+        np.where(world.square[..., None], np.nan, position),
         world.velocity,
         world.preferred_velocity,
         world.radius + (simulation.clearance + safety_space),
@@ -144,7 +137,7 @@ def orca_crowd(
 
 
 def sfm_crowd(world: World, position: np.ndarray) -> np.ndarray:
-    """The Social Force Model's velocities, (E, N, 2), by forces from surface to surface."""
+    """The Social Force Model's velocities, (E, N, 2)."""
     return sfm_velocities(
         position,
         world.velocity,
@@ -162,21 +155,18 @@ CROWDS = {"orca": orca_crowd, "sfm": sfm_crowd}
 
 def transition(world: World, action: np.ndarray) -> Transition:
     """The step in which the robot moves with `action`, (E, 2) or many at once, (E, A, 2), in m/s."""
-    dt, axes = world.simulation.time_step, _axes(action)
-    robot, goal, steps = world.position[:, 0][axes], world.goal[:, 0][axes], world.steps[axes]
-    radius, v_pref = world.radius[:, 0][axes], world.v_pref[:, 0][axes]
-    separations = smallest_gaps(world, action)  # (E, A, K)
-    goal_distance = length(world.ahead(action) - goal)  # (E, A)
+    own = (world.position[:, 0], world.goal[:, 0], world.radius[:, 0], world.v_pref[:, 0], world.steps)
+    robot, goal, radius, v_pref, steps = (part[_axes(action)] for part in own)
+    separations, goal_distance = smallest_gaps(world, action), length(world.ahead(action) - goal)  # (E, A, K), (E, A)
     late, hit = steps >= world.simulation.longest - 1, separations.min(axis=-1, initial=np.inf) < 0
-    arrived = goal_distance < radius
-    outcome = np.where(late, TIMEOUT, np.where(hit, COLLISION, np.where(arrived, SUCCESS, RUNNING)))
-    preferred_velocity = direction(goal - robot) * v_pref[..., None]
+    outcome = np.where(late, TIMEOUT, np.where(hit, COLLISION, np.where(goal_distance < radius, SUCCESS, RUNNING)))
+    dt, shape = world.simulation.time_step, outcome.shape
     return Transition(
-        time=np.broadcast_to(steps * dt + dt, outcome.shape),
-        time_step=np.broadcast_to(dt, outcome.shape),
+        time=np.broadcast_to(steps * dt + dt, shape),
+        time_step=np.broadcast_to(dt, shape),
         velocity=action,
-        preferred_velocity=np.broadcast_to(preferred_velocity, action.shape),
-        goal_distance_before=np.broadcast_to(length(robot - goal), outcome.shape),
+        preferred_velocity=np.broadcast_to(direction(goal - robot) * v_pref[..., None], action.shape),
+        goal_distance_before=np.broadcast_to(length(robot - goal), shape),
         goal_distance=goal_distance,
         separations=separations,
         outcome=outcome,
@@ -200,7 +190,7 @@ def smallest_gaps(world: World, action: np.ndarray) -> np.ndarray:
 
 
 def advance(world: World, velocity: np.ndarray, action: np.ndarray) -> World:
-    """The world after a step with everybody's `velocity` (E, N, 2) and, for the robot, `action` (E, 2), in m/s."""
+    """The world after a step with everybody's `velocity` (E, N, 2) but the robot's `action` (E, 2), in m/s."""
     velocity = velocity.copy()
     velocity[:, 0] = action
     position = world.position + velocity * world.simulation.time_step
@@ -208,5 +198,5 @@ def advance(world: World, velocity: np.ndarray, action: np.ndarray) -> World:
 
 
 def _axes(action: np.ndarray) -> tuple:
-    """The index that puts an axis for the actions into a world's array (E, ...), if there are many, (E, A, 2)."""
+    """The index that gives an array (E, ...) an axis for the actions if these are (E, A, 2)."""
     return slice(None), *(None,) * (action.ndim - 2)

@@ -29,6 +29,7 @@ from sfmrl.imitation import Fit, demonstrate, fill_memory, fit_memory, make_memo
 from sfmrl.learning import OPTIMIZERS, Learner, learn
 from sfmrl.lookahead import ACTIONS, SarlPolicy, available_cores
 from sfmrl.network import ValueNetwork
+from sfmrl.placement import BARRIER
 from sfmrl.policies import orca_policy
 from sfmrl.recovery import RecoveringPolicy
 from sfmrl.recovery.planner import plan
@@ -36,7 +37,7 @@ from sfmrl.runs.create import create_run, start_run
 from sfmrl.runs.explorer import Explorer
 from sfmrl.runs.progress import StopSignal
 from sfmrl.runs.training import run_imitation, run_reinforcement
-from sfmrl.scenes import BARRIER, Scenes, sample_scenes
+from sfmrl.scenes import Scenes, sample_scenes
 from sfmrl.variants import make_config
 from sfmrl.world import CROWDS, advance, crowd_velocities, reset
 

@@ -26,7 +26,7 @@ from conftest import ROOT, environment
 from sfmrl import __version__, cli
 from sfmrl.cli import app, completion, main
 from sfmrl.cli.session import on_run
-from sfmrl.config import Config, ConfigError, Imitation, Planner, Reinforcement, Reward, Simulation, SocialForce
+from sfmrl.config import Config, ConfigError, Imitation, Planner, Reinforcement, Reward, Simulation
 from sfmrl.fast import Sizes, as_fast
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import POLICIES
@@ -36,6 +36,7 @@ from sfmrl.runs.create import create_run
 from sfmrl.runs.folders import locked, unfinished
 from sfmrl.runs.weights import load_weights, model_names
 from sfmrl.scenes import ENVIRONMENTS
+from sfmrl.sfm import SocialForce
 from sfmrl.variants import MIXES, PRESETS, VARIANTS, make_config
 
 Call = Callable[..., subprocess.CompletedProcess]

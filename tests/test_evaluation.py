@@ -10,8 +10,7 @@ from scipy.stats import binomtest
 
 from sfmrl.config import Reward, Simulation
 from sfmrl.episodes import Record
-from sfmrl.evaluation import episode_rows, evaluate, evaluation_record, metrics
-from sfmrl.intervals import wilson
+from sfmrl.evaluation import episode_rows, evaluate, evaluation_record, metrics, wilson
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition

@@ -32,16 +32,6 @@ def test_limit_shortens_only_what_is_longer_and_never_turns(v, longest):
         np.testing.assert_allclose(cut * length(v), v * longest, rtol=1e-9, atol=1e-12)
 
 
-@given(vector, vector, st.floats(0, 5))
-def test_closest_approach_is_the_smallest_distance_over_dense_time(offset, velocity, duration):
-    times = np.linspace(0.0, duration, 2001)
-    dense = length(offset + times[:, None] * velocity).min()
-    found = closest_approach(offset, velocity, duration)
-    # Between two samples the distance falls by at most speed times half their spacing.
-    slack = length(velocity) * duration / 4000
-    assert dense - slack - 1e-9 <= found <= dense + 1e-9
-
-
 @pytest.mark.parametrize(
     ("offset", "velocity", "expected"),
     [
@@ -95,10 +85,11 @@ def test_the_gap_to_a_square_is_the_distance_to_the_nearest_of_many_points_on_it
     assert square_gap(offset + 0.01 * away, np.array(half))[0] == pytest.approx(gap + 0.01)
 
 
-@given(vector, vector, st.floats(0, 5), st.floats(0, 8))
-def test_closest_approach_to_a_square_is_the_smallest_distance_over_dense_time(offset, velocity, duration, half):
+@given(vector, vector, st.floats(0, 5), st.just(0.0) | st.floats(0, 8))
+def test_closest_approach_is_the_smallest_distance_over_dense_time(offset, velocity, duration, half):
     times = np.linspace(0.0, duration, 2001)
     dense = length(np.maximum(np.abs(offset + times[:, None] * velocity) - half, 0.0)).min()
     found = closest_approach(offset, velocity, duration, half)
+    # Between two samples the distance falls by at most speed times half their spacing.
     slack = length(velocity) * duration / 4000
     assert dense - slack - 1e-9 <= found <= dense + 1e-9

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from sfmrl.episodes import play
-from sfmrl.evaluation import evaluation_record
-from sfmrl.intervals import wilson
+from sfmrl.evaluation import evaluation_record, wilson
 from sfmrl.policies import load_policy
 from sfmrl.runs import weights
 from sfmrl.runs.bits import machine_bits

@@ -3,7 +3,7 @@
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import FrozenInstanceError, fields
 from pathlib import Path
 
 import numpy as np
@@ -39,13 +39,6 @@ def forges(transition, settings):
     transition.outcome[...] = 1
     return calm(transition, settings)
 
-def slows(transition, settings):
-    transition.velocity *= 0.5
-    return calm(transition, settings)
-
-def renames(transition, settings):
-    transition.time = 0.0
-
 def raises_the_prize(transition, settings):
     settings.success = 9.0
 
@@ -59,20 +52,8 @@ def goes_round(transition, settings):
 def stops(transition, settings):
     sys.exit("enough")
 
-def closes(transition, settings):
-    raise GeneratorExit
-
 def forgets(transition, settings):
     calm(transition, settings)
-
-def yields(transition, settings):
-    yield 1.0
-
-def speaks(transition, settings):
-    return "calm"
-
-def counts(transition, settings):
-    return 1
 
 def widens(transition, settings):
     return transition.separations
@@ -115,17 +96,11 @@ def was_run(own: Path) -> bool:
     ("function", "line", "said"),
     [
         ("forges", "transition.outcome[...]", "ValueError: assignment destination is read-only; .*work on a copy"),
-        ("slows", "transition.velocity *=", "read-only; what it is given is read-only: work on a copy"),
-        ("renames", "transition.time =", "FrozenInstanceError: .*work on a copy"),
         ("raises_the_prize", "settings.success =", "FrozenInstanceError: .*work on a copy"),
-        ("stops", 'sys.exit("enough")', "SystemExit: enough; it must return, and not end the program"),
-        ("closes", "raise GeneratorExit", "GeneratorExit; it must return, and not end the program"),
-        ("errs", "return calm(transition, settings) *", "AttributeError: .*speed.*; correct that line"),
+        ("stops", 'sys.exit("enough")', "SystemExit: enough$"),
+        ("errs", "return calm(transition, settings) *", "AttributeError: .*speed"),
         ("asks", "return 1.0 if", "ValueError: The truth value .*; it is given whole arrays: choose with numpy.where"),
         ("forgets", "def forgets", r"returned None; it must return an array of shape \(3,\), one number a transition"),
-        ("yields", "def yields", "returned a generator; it must return an array"),
-        ("speaks", "def speaks", "returned 'calm'; it must return an array"),
-        ("counts", "def counts", r"returned 1; it must return an array of shape \(3,\)"),
         ("widens", "def widens", r"returned an array of shape \(3, 5\); it must return an array of shape \(3,\)"),
         ("breaks", "def breaks", "returned NaN or infinity; it must return finite numbers"),
     ],
@@ -206,6 +181,7 @@ def moves_its_goal(world, moves):
         (lambda world, moves: 1.0, "returned 1.0; it must"),
         (lambda world, moves: torch.zeros(3, 2, requires_grad=True), "returned a Tensor; it must"),
         (lambda world, moves: "east", "returned 'east'; it must"),
+        (lambda world, moves: (yield), "returned a generator; it must"),
         (lambda world, moves: np.zeros(2), "returned an array of shape (2,); it must return an array of shape (3, 2)"),
         (lambda world, moves: moves, "returned an array of shape (3, 6, 2); it must"),
         (lambda world, moves: [[0, 1], [0, 1], [1]], "returned a list; it must"),
@@ -214,10 +190,6 @@ def moves_its_goal(world, moves):
             lambda world, moves: np.full((3, 2), 1.0),
             "of 1.414 m/s; it must return none above v_pref, 1 m/s",
         ),
-        (lambda world: world.velocity[:, 0], "define it with two arguments, (world, crowd_velocity)"),
-        (pushes_people, "policy pushes_people (line "),
-        (sits_on_its_goal, "read-only; what it is given is read-only: work on a copy"),
-        (moves_its_goal, "cannot assign to field 'goal'; what it is given is read-only"),
         ("no-policy", "there is no policy no-policy"),
         (5, "policy is 5; it takes a name, or a function of (world, crowd_velocity)"),
     ],
@@ -228,6 +200,12 @@ def test_a_policy_s_slip_is_one_error_that_says_what_it_must_return(policy, said
     assert said in str(caught.value)
 
 
+@pytest.mark.parametrize("policy", [pushes_people, sits_on_its_goal, moves_its_goal])
+def test_a_policy_cannot_change_the_world(policy):
+    with pytest.raises((ValueError, FrozenInstanceError), match=r"read-only|cannot assign to field"):
+        play(SCENES, policy)
+
+
 def test_scenes_by_name_are_an_error_that_says_how_to_make_them():
     with pytest.raises(ConfigError, match=r"scenes is 'circle5'; it takes Scenes, as sample_scenes\('circle5', 100\)"):
         play("circle5", "orca")
@@ -236,8 +214,8 @@ def test_scenes_by_name_are_an_error_that_says_how_to_make_them():
 def test_an_error_of_a_policy_s_own_stays_what_it_is():
     with pytest.raises(ZeroDivisionError):
         play(SCENES, lambda world, moves: 1 / 0)
-    with pytest.raises(TypeError, match="len"):
-        play(SCENES, lambda world, moves: len(5))
+    with pytest.raises(TypeError, match="takes 1 positional argument but 2 were given"):
+        play(SCENES, lambda world: world.velocity[:, 0])
 
 
 def test_a_robot_that_must_not_move_may_stand():

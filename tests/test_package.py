@@ -18,9 +18,9 @@ import sfmrl
 
 # The core, in reading order: a file imports only those above it, and orca/ and fast/.
 CORE = (
-    *("config", "variants", "geometry", "batch", "intervals", "own_code"),
-    *("sfm", "rewards", "scenes", "world", "states", "network", "traps", "lookahead", "policies", "episodes"),
-    *("evaluation", "learning", "exploration", "imitation", "reinforcement"),
+    *("config", "variants", "geometry", "batch", "own_code", "sfm", "rewards", "placement", "scenes"),
+    *("world", "states", "network", "traps", "lookahead", "policies", "episodes", "evaluation", "learning"),
+    *("exploration", "imitation", "reinforcement"),
 )
 # The wings: a folder imports the core and the wings before it.
 WINGS = ("orca", "fast", "recovery", "maps", "runs", "replay", "study", "lessons", "cli")

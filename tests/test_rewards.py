@@ -13,7 +13,6 @@ from sfmrl.config import ConfigError, Reward
 from sfmrl.episodes import play
 from sfmrl.rewards import (
     COLLISION,
-    OUTCOMES,
     REWARDS,
     RUNNING,
     SUCCESS,
@@ -22,7 +21,7 @@ from sfmrl.rewards import (
     reward_terms,
     total,
 )
-from sfmrl.scenes import Scenes, sample_scenes
+from sfmrl.scenes import sample_scenes
 
 NAMES = ("crowd", "sfm", "sfm-discount")
 
@@ -168,13 +167,6 @@ def test_separation_is_the_smallest_gap_and_infinite_without_elements():
     assert np.isfinite(total(REWARDS["sfm"](alone, Reward()))).all()
 
 
-def test_a_transition_can_be_indexed():
-    transition = random_transitions(3)
-    part = transition[transition.outcome == SUCCESS]
-    assert (OUTCOMES[part.outcome] == "success").all()
-    assert len(part.time) == (transition.outcome == SUCCESS).sum()
-
-
 OWN = """
 import numpy as np
 
@@ -256,12 +248,6 @@ def test_a_record_s_transitions_follow_from_its_trajectories():
             outside = np.maximum(np.abs(others - robot) - half[e], 0.0)
             gaps = np.hypot(*np.moveaxis(outside, -1, 0)).min(0) - radii[e]
             np.testing.assert_allclose(step.separations, gaps, atol=2e-3)
-
-
-def test_an_own_reward_counts_for_every_step_of_a_record(own_file):
-    scenes = Scenes([[[0, -1]]], [[[0, 1]]])
-    record = play(scenes, "linear", reward=f"{own_file}:good")
-    np.testing.assert_allclose(record.reward[0], [*(-record.transition.goal_distance[0, :-1]), 1.0])
 
 
 def test_a_reward_for_progress_adds_up_to_the_way_that_was_made():

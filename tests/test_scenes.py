@@ -36,19 +36,15 @@ def distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
 def test_the_robot_crosses_from_south_to_north_among_ten_elements_alike(scenes, name):
     scene = scenes[name]
     assert scene.start.shape == scene.goal.shape == (EPISODES, 11, 2)
-    assert np.isfinite(scene.start).all()
-    assert np.isfinite(scene.goal).all()
+    assert np.isfinite((scene.start, scene.goal)).all()
     np.testing.assert_array_equal(scene.start[:, 0], np.tile([0.0, -4.0], (EPISODES, 1)))
     np.testing.assert_array_equal(scene.goal[:, 0], np.tile([0.0, 4.0], (EPISODES, 1)))
     assert (scene.radius == 0.3).all()
     assert (scene.v_pref == 1.0).all()
     assert not scene.square[:, 0].any()
-
-
-@pytest.mark.parametrize(("name", "squares"), [("2", 5), ("3", 5), ("4", 5), ("5", 10), ("circle", 0)])
-def test_each_environment_has_its_number_of_squares_after_the_people(scenes, name, squares):
-    expected = np.arange(11) > 10 - squares
-    np.testing.assert_array_equal(scenes[name].square, np.tile(expected, (EPISODES, 1)))
+    if name != "1":
+        squares = {"5": 10, "circle": 0}.get(name, 5)  # after the people
+        np.testing.assert_array_equal(scene.square, np.tile(np.arange(11) > 10 - squares, (EPISODES, 1)))
 
 
 @pytest.mark.parametrize("name", ["1", "2", "3", "4", "circle"])
@@ -107,8 +103,9 @@ def test_environment_2_the_barrier_is_fixed(scenes):
     np.testing.assert_allclose(scenes["2"].start[:, 6:], np.tile(BARRIER, (EPISODES, 1, 1)), atol=1e-12)
 
 
-def test_environment_3_the_same_barrier_somewhere_in_the_middle(scenes):
-    squares = scenes["3"].start[:, 6:]
+@pytest.mark.parametrize(("name", "rows"), [("3", slice(6, 11)), ("5", slice(1, 6))])
+def test_environments_3_and_5_the_same_barrier_somewhere_in_the_middle(scenes, name, rows):
+    squares = scenes[name].start[:, rows]
     centre = squares[:, 1]
     np.testing.assert_allclose(squares - centre[:, None], np.tile(BARRIER, (EPISODES, 1, 1)), atol=1e-12)
     assert (np.abs(centre) <= 1.5).all()
@@ -137,15 +134,6 @@ def test_environments_4_and_5_rows_of_three_and_two_without_overlap(scenes, name
     apart = np.abs(squares[:, :, None] - squares[:, None]).max(-1)
     pairs = ~np.eye(squares.shape[1], dtype=bool)
     assert (apart[:, pairs] >= 0.6 - 1e-9).all()  # squares of side 0.6 m overlap if nearer than that in x and y
-
-
-def test_environment_5_has_the_barrier_of_environment_3_and_nobody(scenes):
-    start = scenes["5"].start
-    np.testing.assert_allclose(
-        start[:, 1:6] - start[:, 2:3], np.tile(BARRIER, (EPISODES, 1, 1)), atol=1e-12, err_msg="shape"
-    )
-    assert (np.abs(start[:, 2]) <= 1.5).all()
-    assert scenes["5"].square[:, 1:].all()
 
 
 @pytest.mark.parametrize("people", [0, 5, 20])
@@ -179,17 +167,12 @@ def test_people_speed_changes_the_speed_of_people_alone():
     np.testing.assert_array_equal(fast.start, plain.start)
 
 
-def test_table_1_mixes_environments_1_and_2_seven_to_three():
-    names = sample_scenes("table1", 2000, seed=5).environment
-    assert set(names) == {"1", "2"}
-    assert binomtest(int((names == "1").sum()), 2000, 0.7).pvalue > 1e-3
-
-
-def test_table_2_mixes_environments_2_to_5_in_quarters():
-    names = sample_scenes("table2", 2000, seed=5).environment
-    assert set(names) == {"2", "3", "4", "5"}
-    for name in "2345":
-        assert binomtest(int((names == name).sum()), 2000, 0.25).pvalue > 1e-3
+@pytest.mark.parametrize(("table", "names", "shares"), [("table1", "12", (0.7, 0.3)), ("table2", "2345", (0.25,) * 4)])
+def test_tables_mix_their_environments_in_their_shares(table, names, shares):
+    sampled = sample_scenes(table, 2000, seed=5).environment
+    assert set(sampled) == set(names)
+    for name, share in zip(names, shares, strict=True):
+        assert binomtest(int((sampled == name).sum()), 2000, share).pvalue > 1e-3
 
 
 def same_scenes(one: Scenes, other: Scenes) -> bool:

@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sfmrl.config import CROWD_FORCE, SocialForce
 from sfmrl.geometry import length
-from sfmrl.sfm import goal_force, repulsive_forces, resultant, sfm_velocities
+from sfmrl.sfm import CROWD_FORCE, SocialForce, goal_force, repulsive_forces, resultant, sfm_velocities
 
 coordinate = st.floats(-6, 6, allow_nan=False)
 
@@ -23,18 +22,11 @@ def test_equation_1_by_hand():
         ((3.0, 4.0), SocialForce(), (0.6 * np.exp(-5), 0.8 * np.exp(-5))),  # the paper's a = 1, b = 1, d = 0
         ((0.0, -2.0), SocialForce(a=3.0, b=0.5, d=1.0), (0.0, -3.0 * np.exp(-2.0))),
         ((-0.6, 0.0), SocialForce(a=7.0, b=0.3, d=0.6), (-7.0, 0.0)),  # at distance d the force is a
+        ((0.0, 0.0), SocialForce(), (0.0, 0.0)),  # no direction, and no force
     ],
 )
 def test_equation_2_by_hand(offset, force, expected):
     np.testing.assert_allclose(repulsive_forces(np.array(offset), force), expected, rtol=1e-12, atol=1e-15)
-
-
-def test_the_paper_s_parameters_are_the_defaults():
-    assert (SocialForce().a, SocialForce().b, SocialForce().d) == (1.0, 1.0, 0.0)
-
-
-def test_at_zero_distance_there_is_no_direction_and_no_force():
-    np.testing.assert_array_equal(repulsive_forces(np.zeros((2, 2))), np.zeros((2, 2)))
 
 
 @given(coordinate, coordinate, st.floats(0.01, 10), st.floats(0.1, 3), st.floats(-1, 1))

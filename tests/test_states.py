@@ -6,8 +6,7 @@ from conftest import DATA
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sfmrl.config import SocialForce
-from sfmrl.sfm import repulsive_forces
+from sfmrl.sfm import SocialForce, repulsive_forces
 from sfmrl.states import (
     COLUMNS,
     COLUMNS_WITH_FORCES,

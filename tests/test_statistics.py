@@ -8,7 +8,7 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sfmrl.intervals import wilson
+from sfmrl.evaluation import wilson
 from sfmrl.study.statistics import (
     holm,
     mean_difference,

@@ -12,7 +12,7 @@ import pytest
 import scipy.stats
 
 from sfmrl.config import ConfigError
-from sfmrl.intervals import wilson
+from sfmrl.evaluation import wilson
 from sfmrl.runs.files import csv_text
 from sfmrl.scenes import sample_scenes
 from sfmrl.study.curves import curve_rows, draw_curves

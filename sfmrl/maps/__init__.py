@@ -31,7 +31,8 @@ import numpy as np
 
 from sfmrl.maps.draw import draw_map, load_map, read_map, why_unsolvable
 from sfmrl.maps.format import Drawing, parse
-from sfmrl.scenes import DRAWN, Builder, Environment
+from sfmrl.placement import Builder
+from sfmrl.scenes import DRAWN, Environment
 
 __all__ = ["Drawing", "draw_map", "layouts", "load_map", "map_environment", "read_map", "why_unsolvable"]
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sfmrl.config import ConfigError
-from sfmrl.scenes import Builder
+from sfmrl.placement import Builder
 
 CELL = 0.6  # m, the side of a place, and of a square
 JITTER = 0.1  # m: people and the robot start at most this far from their places in x and in y

@@ -97,7 +97,7 @@ def open_run(folder: Path, kind: str | None = None) -> Run:
         raise ConfigError(f"{folder} was made by sfmrl {version}; install that version to play it or go on with it")
     try:
         config = Config.from_json(read_checked(folder / "config.json"))
-    except ConfigError as error:
+    except ValueError as error:
         raise ConfigError(f"{folder / 'config.json'} cannot be used: {error}") from None
     if kind and facts["kind"] != kind:
         raise ConfigError(f"{folder} is a run of sfmrl {facts['kind']}, not of sfmrl {kind}; name one of those")

@@ -47,7 +47,7 @@ def load_weights(path: Path) -> tuple[FastNetwork, Config]:
         return network, Config(preset="paper", forces=network.forces)
     try:
         config = Config.from_json(content["config"])
-    except ConfigError as error:
+    except ValueError as error:
         raise ConfigError(f"the config in {path} cannot be used: {error}") from error
     network = network_from(content["weights"], str(path), config.value_prior)
     if network.forces != config.forces:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sfmrl.intervals import Z, wilson
+from sfmrl.evaluation import Z, wilson
 from sfmrl.study.tables import Figures, Table
 
 LEVEL = 0.95
