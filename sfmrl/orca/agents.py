@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from sfmrl.orca.vectors import bits, choose, det, dot, turn_right
+from sfmrl.orca.vectors import det, dot, turn_right
 
 HALF = np.float32(0.5)
 TINY = np.float32(1e-30)
@@ -66,7 +66,7 @@ def _shares(agent, other, time_step, neighbor_distance, time_horizon):
     # From the centre of the cut-off disc to the relative velocity; the disc counts if that is on its near side.
     w = velocity - rate * away
     w_squared, towards = dot(w, w), dot(w, away)
-    on_disc = bits(overlap | ((towards < 0) & (towards * towards > reach_squared * w_squared)))
+    on_disc = overlap | ((towards < 0) & (towards * towards > reach_squared * w_squared))
 
     # Else the left leg of the cone counts, if the relative velocity is left of its axis, or the right one, reversed. On
     # the axis itself RVO2 takes the right one, and so does the tiny number.
@@ -80,10 +80,10 @@ def _shares(agent, other, time_step, neighbor_distance, time_horizon):
 
     length = np.sqrt(w_squared)
     w *= 1 / length
-    share = choose(on_disc, (reach * rate - length) * w, along * leg - velocity)
+    share = np.where(on_disc, (reach * rate - length) * w, along * leg - velocity)
     share *= HALF
-    direction = choose(on_disc, turn_right(w), leg)
-    near = bits(squared < np.float32(neighbor_distance) * np.float32(neighbor_distance))
-    share.view(np.int32)[...] &= near
-    direction.view(np.int32)[...] &= near
+    direction = np.where(on_disc, turn_right(w), leg)
+    far = ~(squared < np.float32(neighbor_distance) * np.float32(neighbor_distance))  # or absent: NaN
+    np.copyto(share, 0, where=far)
+    np.copyto(direction, 0, where=far)
     return share, direction

@@ -19,7 +19,7 @@ Vectors are (2, K); what a pair has for both ends of its edge, start and end, ha
 import numpy as np
 
 from sfmrl.orca.polygons import FIELDS
-from sfmrl.orca.vectors import INFINITY, bits, choose, det, dot, turn_left, turn_right
+from sfmrl.orca.vectors import INFINITY, det, dot, turn_left, turn_right
 
 COVERED = np.float32(1e-5)  # m/s by which a covered edge may stick out
 SIDES = np.array([[1], [-1]], np.float32)  # an edge's start is at the left, its end at the right
@@ -123,11 +123,10 @@ def _sights(edges, agent, time_horizon):
     foot = at[:, 0] + along * edge
     line_squared = sight[5] = dot(foot, foot)
     to_start, to_end = dot(at, at)
-    inside = bits((along >= 0) & (along <= 1))
-    squared = choose(inside, line_squared, np.minimum(to_start, to_end))
+    squared = np.where((along >= 0) & (along <= 1), line_squared, np.minimum(to_start, to_end))
     reach = time_horizon * agent[5] + agent[4]
-    counts = bits((det(at[:, 0], edge) < 0) & (squared < reach * reach))
-    sight[6] = choose(counts, squared, INFINITY)
+    counts = (det(at[:, 0], edge) < 0) & (squared < reach * reach)
+    sight[6] = np.where(counts, squared, INFINITY)
     return sight.reshape(7, slots, -1)
 
 
@@ -180,7 +179,7 @@ def _legs(corner, convex, radius, own, wall):
     end, pair = np.divmod((~convex).ravel().nonzero()[0], len(radius))
     leg[:, end, pair] = own[:, pair] * -SIDES[end, 0]
     foreign = convex & (det(leg, wall) * SIDES >= 0)
-    return choose(bits(foreign), wall, leg), foreign
+    return np.where(foreign, wall, leg), foreign
 
 
 def _tangents(cut, velocity, leg, foreign, single, own, margin):
@@ -191,7 +190,7 @@ def _tangents(cut, velocity, leg, foreign, single, own, margin):
     towards = velocity[:, None] - cut
     up = dot(towards, leg)
     to_leg = velocity[:, None] - (cut + up * leg)
-    to_leg = choose(bits(up < 0), INFINITY, dot(to_leg, to_leg))
+    to_leg = np.where(up < 0, INFINITY, dot(to_leg, to_leg))
     span = cut[:, 1] - cut[:, 0]
     across = dot(towards[:, 0], span) / dot(span, span)
     to_cut = velocity - (cut[:, 0] + across * span)
@@ -203,12 +202,11 @@ def _tangents(cut, velocity, leg, foreign, single, own, margin):
     on_cut = ~single & (across >= 0) & (across <= 1) & (to_cut <= to_leg[0]) & (to_cut <= to_leg[1])
     on_right = right_corner | (~left_corner & ~on_cut & (to_leg[1] < to_leg[0]))
 
-    right_end = bits(on_right)
-    towards = choose(right_end, towards[:, 1], towards[:, 0])
+    towards = np.where(on_right, towards[:, 1], towards[:, 0])
     towards *= 1 / np.sqrt(dot(towards, towards))
-    direction = choose(bits(on_cut), -own, choose(right_end, -leg[:, 1], leg[:, 0]))
-    direction = choose(bits(at_corner), turn_right(towards), direction)
-    point = choose(right_end, cut[:, 1], cut[:, 0]) + margin * turn_left(direction)
+    direction = np.where(on_cut, -own, np.where(on_right, -leg[:, 1], leg[:, 0]))
+    direction = np.where(at_corner, turn_right(towards), direction)
+    point = np.where(on_right, cut[:, 1], cut[:, 0]) + margin * turn_left(direction)
     counts = at_corner | on_cut | ~((on_right & foreign[1]) | (~on_right & foreign[0]))
     return np.concatenate([point, direction]), counts
 

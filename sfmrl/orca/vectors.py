@@ -37,28 +37,7 @@ def turn_right(vector):
     return turned
 
 
-def choose(mask, yes, no):
-    """Return float32 `yes` where the mask has all `bits` and `no` where it has none, much faster than np.where."""
-    no = no.view(np.int32)
-    chosen = np.bitwise_xor(yes.view(np.int32), no)
-    chosen = np.bitwise_and(chosen, mask, out=chosen if chosen.ndim >= mask.ndim else None)
-    chosen ^= no
-    return chosen.view(np.float32)
-
-
-def bits(condition):
-    """Return int32 with all bits set where the condition holds, and none elsewhere."""
-    mask = condition.astype(np.int32)
-    return np.negative(mask, out=mask)
-
-
-def put(vectors, where, values):
-    """Write vectors (2, K) to the places `where` (K,) of vectors (2, Q), faster than by `vectors[:, where]`."""
-    x, y = vectors
-    x[where], y[where] = values
-
-
 def limit_speed(velocity, max_speed):
     """Return the velocities (2, Q) with those faster than max_speed (Q,) shortened to it."""
     squared = dot(velocity, velocity)
-    return choose(bits(squared > max_speed * max_speed), velocity * (1 / np.sqrt(squared)) * max_speed, velocity)
+    return np.where(squared > max_speed * max_speed, velocity * (1 / np.sqrt(squared)) * max_speed, velocity)
