@@ -19,7 +19,7 @@ Vectors are (2, K); what a pair has for both ends of its edge, start and end, ha
 import numpy as np
 
 from sfmrl.orca.polygons import FIELDS
-from sfmrl.orca.vectors import INFINITY, det, dot, turn_left, turn_right
+from sfmrl.orca.vectors import INFINITY, det, dot, turn_left
 
 COVERED = np.float32(1e-5)  # m/s by which a covered edge may stick out
 SIDES = np.array([[1], [-1]], np.float32)  # an edge's start is at the left, its end at the right
@@ -205,7 +205,7 @@ def _tangents(cut, velocity, leg, foreign, single, own, margin):
     towards = np.where(on_right, towards[:, 1], towards[:, 0])
     towards *= 1 / np.sqrt(dot(towards, towards))
     direction = np.where(on_cut, -own, np.where(on_right, -leg[:, 1], leg[:, 0]))
-    direction = np.where(at_corner, turn_right(towards), direction)
+    direction = np.where(at_corner, -turn_left(towards), direction)
     point = np.where(on_right, cut[:, 1], cut[:, 0]) + margin * turn_left(direction)
     counts = at_corner | on_cut | ~((on_right & foreign[1]) | (~on_right & foreign[0]))
     return np.concatenate([point, direction]), counts
