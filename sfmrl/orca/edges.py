@@ -115,7 +115,9 @@ def _sights(edges, agent, time_horizon):
     to the edge's line and to the edge. An edge does not count if it turns its back to the agent or is out of reach.
     """
     slots, episodes = edges.shape[1:]
-    ends, edge, minus_squared = edges[:4].reshape(2, 2, slots, 1, episodes), edges[12:14, :, None], edges[14, :, None]
+    ends = edges[:4].reshape(2, 2, slots, 1, episodes)
+    edge = ends[:, 1] - ends[:, 0]
+    minus_squared = -dot(edge, edge)
     sight = np.empty((7, slots, *agent.shape[1:]), np.float32)
     at = sight[:4].reshape(2, 2, *sight.shape[1:])
     np.subtract(ends, agent[:2, None, None], out=at)
