@@ -26,7 +26,7 @@ TRAP_STEPS = 2  # steps after the chosen action that must be possible without a 
 class RecoveringPolicy:
     """Wrap a policy and take over while the robot is stuck; all other attributes are those of the wrapped policy.
 
-    `original` is the policy as given; `helped` (E,) marks episodes of the latest play in which the robot was ever stuck.
+    `original` is the policy as given; `helped` (E,) marks episodes of the latest play in which the robot was stuck.
     """
 
     def __init__(self, policy: Policy, planner: Planner) -> None:
