@@ -21,7 +21,7 @@ from sfmrl.orca.agents import agent_half_planes, mutual_half_planes
 from sfmrl.orca.edges import edge_half_planes, uncovered
 from sfmrl.orca.polygons import Edges, polygon_edges
 from sfmrl.orca.programs import least_violations, nearest_velocities, violations
-from sfmrl.orca.vectors import INFINITY, dot, limit_speed
+from sfmrl.orca.vectors import INFINITY, limit_speed
 
 __all__ = ["Edges", "orca_velocities", "polygon_edges"]
 
@@ -137,7 +137,9 @@ def _neighbors(planes, own, others, most):
     for first in range(0, len(own), at_once):
         columns = own[first : first + at_once]
         away = position[:, None] - planes[:2].take(columns, axis=1)[..., None]
-        squared = np.fmin(dot(away, away), INFINITY)  # absent ones last
+        away *= away
+        squared = np.add(*away, out=away[0])
+        np.fmin(squared, INFINITY, out=squared)  # absent ones last
         distance = squared.view(np.int32)  # bits of positive floats are ordered as the floats are
         distance[np.arange(len(columns)), :, np.searchsorted(others, columns)] = LAST
         chosen = _least(distance.reshape(-1, len(others)), most).reshape(len(columns), episodes, most)

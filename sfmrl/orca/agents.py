@@ -50,7 +50,8 @@ def _half_changes(agent, other, time_step, neighbor_distance, time_horizon):
     squared, reach_squared = dot(away, away), reach * reach
     # Agents that overlap must be apart after one time step.
     overlap = squared <= reach_squared
-    rate = np.where(overlap, 1 / np.float32(time_step), 1 / np.float32(time_horizon))
+    rate = np.full(squared.shape, 1 / np.float32(time_horizon))
+    np.copyto(rate, 1 / np.float32(time_step), where=overlap)
 
     # w leads from the centre of the disc to the relative velocity, which is nearest to the disc if w points back to it.
     w = velocity - rate * away
