@@ -16,7 +16,7 @@ has for both ends of its edge, start (left) and end (right), has one more axis f
 import numpy as np
 
 from sfmrl.orca.polygons import FIELDS
-from sfmrl.orca.vectors import INFINITY, det, dot, turn_left, unit
+from sfmrl.orca.vectors import INFINITY, choose, det, dot, turn_left, unit
 
 COVERED = np.float32(1e-5)  # m/s by which a covered edge may stick out
 SIDES = np.array([[1], [-1]], np.float32)  # an edge's start is at the left, its end at the right
@@ -114,10 +114,10 @@ def _sights(edges, agent, time_horizon):
     line_squared = sight[5] = dot(foot, foot)
     to_start, to_end = dot(at, at)
     # The nearest point is the foot of the perpendicular if that lies on the edge, and otherwise a corner.
-    squared = np.where((along >= 0) & (along <= 1), line_squared, np.minimum(to_start, to_end))
+    squared = choose((along >= 0) & (along <= 1), line_squared, np.minimum(to_start, to_end))
     # The agent must be in front of the edge, and able to reach it within the time horizon.
     reach = time_horizon * agent[5] + agent[4]
-    sight[6] = np.where((det(at[:, 0], edge) < 0) & (squared < reach * reach), squared, INFINITY)
+    sight[6] = choose((det(at[:, 0], edge) < 0) & (squared < reach * reach), squared, INFINITY)
     return sight.reshape(7, slots, -1)
 
 
