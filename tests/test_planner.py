@@ -119,7 +119,7 @@ def test_places_inside_squares_have_finite_distances_that_fall_outwards():
     assert middle > edge > out > 3.9
 
 
-def test_of_a_scene_far_out_the_grid_stays_small_and_what_is_within_reach_counts():
+def test_a_goal_or_square_far_out_does_not_make_the_grid_large():
     near = among_squares((0, 0), (0.6, 0))
     far = among_squares((0, 0), (0.6, 0), (0.0, 1e6))
     places = np.random.default_rng(0).uniform(-4, 4, (50, 2))
@@ -142,7 +142,7 @@ def test_a_grid_of_too_many_cells_is_one_clear_error():
         RecoveringPolicy(orca_policy, Planner(recover=True)).begin(scenes, Simulation(time_limit=3600))
 
 
-def test_an_episode_ends_that_recovery_helps_on_its_way_to_a_goal_far_out():
+def test_recovery_leads_past_squares_on_the_way_to_a_goal_far_out():
     scenes = among_squares((-0.6, 0), (0, 0), (0.6, 0), goal=(0.0, 1e6))
     record = play(scenes, RecoveringPolicy(orca_policy, Planner(recover=True)))
     assert list(record.outcome) == ["timeout"]

@@ -1,4 +1,4 @@
-"""Recovery: dead ends are left, a robot on its way is let alone, and looking out for traps pays."""
+"""Recovery: it leads out of dead ends, and leaves a robot that makes progress to its policy."""
 
 import numpy as np
 import pytest
@@ -34,8 +34,8 @@ def test_a_robot_that_makes_progress_is_left_to_its_policy():
     assert not policy.helped.any()
 
 
-def test_stuck_is_who_has_not_come_nearer_within_the_stall_time():
-    """A robot that stands is stuck after 2 s, by default, and let alone again where no square is in its way."""
+def test_a_robot_is_stuck_when_it_has_not_come_nearer_within_the_stall_time():
+    """By default after 2 s; recovery hands back to the policy once no square is in the way."""
 
     def still(world, crowd_velocity):
         return np.zeros((len(world), 2))

@@ -51,7 +51,7 @@ def layouts() -> dict[str, Drawing]:
 
 
 def map_environment(name: str) -> Drawing | Environment | None:
-    """The environment with a map's name, "map-u", "maps" or "map:R.#.G/..#.."; None where it is no such name.
+    """The environment with a map's name, "map-u", "maps" or "map:R.#.G/..#.."; None for other names.
 
     Raises ConfigError on drawings that cannot be read.
     """
@@ -61,7 +61,7 @@ def map_environment(name: str) -> Drawing | Environment | None:
 
 
 def _in_turn() -> Environment:
-    """The layouts that can be solved: episode 0 has the first, episode 1 the second, and so on, again and again."""
+    """The layouts that can be solved, in turn: episode 0 has the first, episode 1 the second, and so on."""
     turn = [drawing for name, drawing in layouts().items() if name != "map-closed"]
 
     def place(builder: Builder, which: np.ndarray) -> None:

@@ -9,7 +9,7 @@ from sfmrl.maps.format import CELL, GOALS, MOST_PLACES, PEOPLE, Drawing, parse
 from sfmrl.recovery.planner import UNREACHABLE, plan
 from sfmrl.scenes import DRAWN, Scenes
 
-LARGEST = 100_000  # bytes of a map's file: far more than a map and its comments need
+LARGEST = 100_000  # bytes of a map's file
 
 
 def read_map(text: str, name: str = "map") -> Scenes:
@@ -18,22 +18,19 @@ def read_map(text: str, name: str = "map") -> Scenes:
 
 
 def load_map(path: str | Path) -> str:
-    """The environment, for `sample_scenes` and others, that a text file draws: a name that holds the whole drawing.
+    """The environment that a text file draws: a name for `sample_scenes` and others that holds the whole drawing.
 
-    Raises ConfigError, with the file's name, line and column, where it draws none.
+    Raises ConfigError, with the file's name, line and column, if the file holds no map.
     """
     path = Path(path)
-    if path.exists() and not path.is_file():
+    if not path.exists():
+        raise ConfigError(f"there is no map {path}; sfmrl ascii-render --draw prints one to begin with")
+    if not path.is_file():
         raise ConfigError(f"{path} is a folder, a pipe or a device; name a text file with a map")
-    try:
-        with open(path, "rb") as file:
-            text = file.read(LARGEST + 1)
-    except FileNotFoundError:
-        raise ConfigError(f"there is no map {path}; sfmrl ascii-render --draw prints one to begin with") from None
-    if len(text) > LARGEST:
+    if path.stat().st_size > LARGEST:
         raise ConfigError(f"{path} is larger than any map, {LARGEST} bytes")
     try:
-        drawing = parse(text.decode("utf-8-sig"), str(path))
+        drawing = parse(path.read_bytes().decode("utf-8-sig"), str(path))
     except UnicodeDecodeError:
         raise ConfigError(f"{path} is not text in UTF-8, as a map is") from None
     return DRAWN + "/".join(_lines(_scenes(drawing)))
@@ -42,8 +39,8 @@ def load_map(path: str | Path) -> str:
 def draw_map(scenes: Scenes, episode: int = 0) -> str:
     """Draw the scene in row `episode` as a map for `read_map`, each element and goal in the nearest place.
 
-    A scene that was read from a map gives the same scene again; sizes and speeds are lost. Raises ConfigError where a
-    map cannot show the scene: more than nine people, or two things in one place.
+    Sizes and speeds are lost. Raises ConfigError if a map cannot show the scene: more than nine people, or two things
+    in one place.
     """
     text = "\n".join(_lines(scenes, episode)) + "\n"
     parse(text, "the drawing")
@@ -51,10 +48,7 @@ def draw_map(scenes: Scenes, episode: int = 0) -> str:
 
 
 def why_unsolvable(scenes: Scenes, time_limit: float) -> str | None:
-    """Say why no policy can reach the goal of the first episode within `time_limit` s; None if nothing rules it out.
-
-    Squares and the distance can rule it out; people are left out.
-    """
+    """Why squares or distance let no policy reach the first episode's goal in `time_limit` s; None if they do not."""
     far = float(plan(scenes.take([0]), Planner(inflation=0.0)).at(np.array([0]), scenes.start[:1, 0])[0])
     if far >= UNREACHABLE:
         return "unsolvable, the squares leave no way to the goal (a passage must be two characters wide)"
@@ -65,9 +59,8 @@ def why_unsolvable(scenes: Scenes, time_limit: float) -> str | None:
 
 def _scenes(drawing: Drawing) -> Scenes:
     """The drawing's one episode, without noise."""
-    places = [np.concatenate((end, drawing.squares))[None] for end in (drawing.start, drawing.goal)]
-    square = np.arange(places[0].shape[1]) >= len(drawing.start)
-    return Scenes(*places, square=square, environment=drawing.label)
+    start, goal = (np.concatenate((end, drawing.squares))[None] for end in (drawing.start, drawing.goal))
+    return Scenes(start, goal, square=np.arange(start.shape[1]) >= len(drawing.start), environment=drawing.label)
 
 
 def _lines(scenes: Scenes, episode: int = 0) -> list[str]:

@@ -51,18 +51,11 @@ class Drawing:
 
 
 def parse(text: str, name: str = "map", whole: bool = True) -> Drawing:
-    """The scene that a text draws; raises ConfigError with `name`, line and column where it draws none.
+    """The scene that a text draws; raises ConfigError with `name`, line and column if it draws none.
 
     Without `whole`, R and G may be missing: the robot then goes from (0, -4) to (0, 4), as in the environments.
     """
-    # Lines with their numbers in the text, without comments, the blank lines around the drawing, and its indentation.
-    lines = [(number, line.rstrip()) for number, line in enumerate(text.split("\n"), start=1)]
-    lines = [(number, line) for number, line in lines if not line.lstrip().startswith(";")]
-    drawn = [k for k, (_, line) in enumerate(lines) if line]
-    if not drawn:
-        raise ConfigError(f"{name} is empty; draw at least R, where the robot starts, and G, where it wants to go")
-    lines = lines[drawn[0] : drawn[-1] + 1]
-    indent = min(len(line) - len(line.lstrip(" ")) for _, line in lines if line)
+    lines, indent = _drawn_lines(text, name)
     rows, columns = len(lines), max(len(line) for _, line in lines) - indent
     if max(rows, columns) > MOST_PLACES:
         raise ConfigError(f"{name} is {columns} places wide and {rows} high; it may be {MOST_PLACES} of either")
@@ -71,24 +64,39 @@ def parse(text: str, name: str = "map", whole: bool = True) -> Drawing:
     for row, (number, line) in enumerate(lines):
         for column, written in enumerate(line[indent:]):
             character = written.translate(_MEANT)
-            at = f"{name}, line {number}, column {indent + column + 1}"
+            at = f"line {number}, column {indent + column + 1}"
             place = CELL * np.array((column - (columns - 1) / 2, (rows - 1) / 2 - row))
             if character == "#":
                 squares.append(place)
             elif character in marks:
-                first = where[character].removeprefix(f"{name}, ")
                 wall = "; @ is the robot, as in replays: draw walls as #" if written == "@" else ""
-                raise ConfigError(f"{at}: this is a second {character}; the first is in {first}{wall}")
+                raise ConfigError(
+                    f"{name}, {at}: this is a second {character}; the first is in {where[character]}{wall}"
+                )
             elif character in f"RG{PEOPLE}{GOALS}":
                 marks[character], where[character] = place, at
             elif character != ".":
-                raise ConfigError(f"{at}: {character!r} means nothing on a map; {_KNOWN}")
+                raise ConfigError(f"{name}, {at}: {character!r} means nothing on a map; {_KNOWN}")
     if len(squares) > MOST_SQUARES:
         raise ConfigError(f"{name} has {len(squares)} squares; it may have {MOST_SQUARES}, for the robot weighs each")
     for character, what in (("R", "the robot's start"), ("G", "the robot's goal")):
         if whole and character not in marks:
             raise ConfigError(f"{name} has no {character}; draw one, {what}")
-    return _drawing(np.reshape(squares, (-1, 2)), marks, where)
+    return _drawing(np.reshape(squares, (-1, 2)), marks, {mark: f"{name}, {at}" for mark, at in where.items()})
+
+
+def _drawn_lines(text: str, name: str) -> tuple[list[tuple[int, str]], int]:
+    """The drawing's lines with their numbers in the text, without comments and blank lines around it; its indentation.
+
+    Raises ConfigError if there are none.
+    """
+    lines = [(number, line.rstrip()) for number, line in enumerate(text.split("\n"), start=1)]
+    lines = [(number, line) for number, line in lines if not line.lstrip().startswith(";")]
+    drawn = [k for k, (_, line) in enumerate(lines) if line]
+    if not drawn:
+        raise ConfigError(f"{name} is empty; draw at least R, where the robot starts, and G, where it wants to go")
+    lines = lines[drawn[0] : drawn[-1] + 1]
+    return lines, min(len(line) - len(line.lstrip(" ")) for _, line in lines if line)
 
 
 def _drawing(squares: np.ndarray, marks: dict[str, np.ndarray], where: dict[str, str]) -> Drawing:

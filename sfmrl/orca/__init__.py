@@ -28,16 +28,8 @@ __all__ = ["Edges", "orca_velocities", "polygon_edges"]
 BLOCK = 32768  # pairs at a time: a few such rows stay in the processor's cache
 LAST = 0x7FFFFFFF  # more than the bits of any float
 
-
-def _keep_freed_memory():
-    """Make glibc keep up to 32 MB of freed memory for the next step, instead of giving it back after each.
-
-    It keeps twice the size of the largest block that was ever freed; with other allocators, this does nothing.
-    """
-    np.empty(1 << 24, np.uint8)
-
-
-_keep_freed_memory()
+# glibc keeps up to twice the largest block that was ever freed: 32 MB for the next step, not given back after each.
+np.empty(1 << 24, np.uint8)
 
 
 def orca_velocities(
@@ -59,54 +51,34 @@ def orca_velocities(
 
     position (m) is (E, N, 2), velocity and preferred_velocity (m/s) broadcast to it, radius (m) and max_speed (m/s) to
     (E, N). An agent whose position is NaN is absent: it gets NaN and influences nobody. `polygons` (E, P, V, 2) in m or
-    their `polygon_edges` stand still. `agents`, which broadcast to (E, N), are those to compute, all by default; the
+    their `polygon_edges` stand still. `agents` broadcasts to (E, N) and selects those to compute, all by default; the
     others get NaN but are avoided. time_step and horizons are in s, neighbor_distance in m. Raises ValueError for wrong
     shapes and polygons, and for numbers that are not finite or out of range. A scene may lie anywhere, but its agents
     within a few kilometres: they are computed in float32 relative to an origin near most of them.
-    Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011.
     """
     position = numbers("position", position)
     if position.ndim != 3 or position.shape[2] != 2:
         raise ValueError(f"position must have shape (E, N, 2), not {position.shape}")
-    episodes, rows = shape = position.shape[:2]
     time_step, time_horizon = _positive("time_step", time_step), _positive("time_horizon", time_horizon)
     obstacle_time_horizon = _positive("obstacle_time_horizon", obstacle_time_horizon)
     neighbor_distance = _positive("neighbor_distance", neighbor_distance, least=0.0, most=np.inf)
     if not isinstance(max_neighbors, Integral) or max_neighbors < 0:
         raise ValueError(f"max_neighbors is {max_neighbors!r}; it must be a whole number, 0 or more")
-    outline = _edges(polygons, position)
-    edges = outline.values
-    planes = np.empty((8, rows, episodes), np.float32)
-    with np.errstate(over="ignore", invalid="ignore"):
-        np.subtract(position.T, outline.origin.T[:, None], out=planes[0:2], casting="same_kind")
-        planes[2:4] = broadcast("velocity", velocity, position.shape).T
-        planes[4] = broadcast("radius", radius, shape).T
-        planes[5] = broadcast("max_speed", max_speed, shape).T
-        planes[6:8] = broadcast("preferred_velocity", preferred_velocity, position.shape).T
-    wanted = present = ~np.isnan(position).any(axis=2).T
-    _check_finite(planes, present)
-    if agents is not None:
-        wanted = present & (broadcast("agents", agents, shape) != 0).T
+    edges = _edges(polygons, position)
+    planes, present = _planes(position, velocity, radius, max_speed, preferred_velocity, edges.origin)
+    wanted = present if agents is None else present & (broadcast("agents", agents, position.shape[:2]) != 0).T
     others, own = present.any(axis=1).nonzero()[0], wanted.any(axis=1).nonzero()[0]
 
-    velocities = np.full((episodes, rows, 2), np.nan)
-    pairs = max(1, edges.shape[1], min(max_neighbors, len(others)))  # of each agent
-    size = max(1, BLOCK // (pairs * max(1, len(own))))
-    columns = max(1, BLOCK // (pairs * size))
-    everybody = columns >= len(own) == len(others) <= max_neighbors + 1  # then pairs are the same seen from both sides
+    velocities = np.full(position.shape, np.nan)
     with np.errstate(all="ignore"):
-        for first in range(0, episodes, size):
-            block = slice(first, first + size)
-            for column in range(0, len(own), columns):
-                part = own[column : column + columns]
-                agent = planes[:, :, block].take(part, axis=1)
-                if everybody:
-                    lines = mutual_half_planes(agent, time_step, neighbor_distance, time_horizon)
-                else:
-                    other = _neighbors(planes[:5, :, block], part, others, max_neighbors)
-                    lines = agent_half_planes(agent, other, time_step, neighbor_distance, time_horizon)
-                found = _velocities(agent, lines, edges[:, :, block], obstacle_time_horizon)
-                velocities[block, part] = found.T
+        for block, part in _blocks(len(position), own, max(edges.values.shape[1], min(max_neighbors, len(others)))):
+            agent = planes[:, :, block].take(part, axis=1)
+            if len(part) == len(others) <= max_neighbors + 1:  # then pairs are the same seen from both sides
+                lines = mutual_half_planes(agent, time_step, neighbor_distance, time_horizon)
+            else:
+                other = _neighbors(planes[:5, :, block], part, others, max_neighbors)
+                lines = agent_half_planes(agent, other, time_step, neighbor_distance, time_horizon)
+            velocities[block, part] = _velocities(agent, lines, edges.values[:, :, block], obstacle_time_horizon).T
     velocities[~wanted.T] = np.nan
     return velocities
 
@@ -164,47 +136,64 @@ def _neighbors(planes, own, others, most):
     position = np.ascontiguousarray(planes[:2].take(others, axis=1).transpose(0, 2, 1))
     for first in range(0, len(own), at_once):
         columns = own[first : first + at_once]
-        x, y = position[:, None] - planes[:2].take(columns, axis=1)[..., None]
-        x *= x
-        y *= y
-        x += y
-        distance = np.fmin(x, INFINITY, out=x).view(np.int32)  # bits of positive floats are ordered as the floats are
+        away = position[:, None] - planes[:2].take(columns, axis=1)[..., None]
+        away *= away
+        squared = np.add(*away, out=away[0])
+        np.fmin(squared, INFINITY, out=squared)  # absent ones last
+        distance = squared.view(np.int32)  # bits of positive floats are ordered as the floats are
         distance[np.arange(len(columns)), :, np.searchsorted(others, columns)] = LAST
-        chosen = _least(distance, most).reshape(len(columns), episodes, most)
+        chosen = _least(distance.reshape(-1, len(others)), most).reshape(len(columns), episodes, most)
         nearest[:, first : first + at_once] = others[chosen].transpose(2, 0, 1)
     return planes.reshape(len(planes), -1).take(nearest * episodes + np.arange(episodes), axis=1)
 
 
 def _least(distance, count):
-    """Return where the least of the integers (..., M) are, (K, count) in ascending order; of equal ones the first."""
-    distance = distance.reshape(-1, distance.shape[-1])
+    """Return where the least of the integers (K, M) are, (K, count) in ascending order; of equal ones the first."""
     limit = np.partition(distance, count - 1, axis=1)[:, count - 1 : count]
     chosen = np.flatnonzero(distance <= limit)
-    if len(chosen) > count * len(distance):
-        key = distance.astype(np.int64) << 32 | np.arange(distance.shape[1])
-        return np.sort(np.partition(key, count - 1, axis=1)[:, :count] & 0xFFFFFFFF, axis=1)
+    if len(chosen) > count * len(distance):  # ties
+        return np.sort(np.argsort(distance, axis=1, kind="stable")[:, :count], axis=1)
     return chosen.reshape(-1, count) % distance.shape[1]
+
+
+def _blocks(episodes, own, pairs):
+    """Yield slices of the episodes with parts of the rows `own`, whose agents have `pairs` each: BLOCK in all."""
+    size = max(1, BLOCK // max(1, pairs * len(own)))
+    columns = max(1, BLOCK // (max(1, pairs) * size))
+    for first in range(0, episodes, size):
+        for column in range(0, len(own), columns):
+            yield slice(first, first + size), own[column : column + columns]
 
 
 def _edges(polygons, position):
     """Return the polygons' Edges, of no polygon where they are None, for agents at the positions (E, N, 2)."""
     if not isinstance(polygons, Edges):
-        return polygon_edges(np.empty((len(position), 0, 1, 2)) if polygons is None else polygons, position)
+        return polygon_edges(np.empty((len(position), 0, 0, 2)) if polygons is None else polygons, position)
     if len(polygons) != len(position):
         raise ValueError(f"polygons must belong to {len(position)} episodes, not to {len(polygons)}")
     return polygons
 
 
-def _check_finite(planes, present):
-    """Raise ValueError where planes (8, N, E) hold for somebody present (N, E) what is no number or below its range."""
+def _planes(position, velocity, radius, max_speed, preferred_velocity, origin):
+    """Return what ORCA is given as one array (8, N, E), by component and checked, and who is present (N, E)."""
+    episodes, rows = shape = position.shape[:2]
+    planes = np.empty((8, rows, episodes), np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        np.subtract(position.T, origin.T[:, None], out=planes[0:2], casting="same_kind")
+        planes[2:4] = broadcast("velocity", velocity, position.shape).T
+        planes[4] = broadcast("radius", radius, shape).T
+        planes[5] = broadcast("max_speed", max_speed, shape).T
+        planes[6:8] = broadcast("preferred_velocity", preferred_velocity, position.shape).T
+    present = ~np.isnan(position).any(axis=2).T
     good = np.isfinite(planes)
     good[4:6] &= planes[4:6] >= 0
     bad = (present & ~good).any(axis=(1, 2))
     if bad.any():
-        names = ("position", "velocity", "radius", "max_speed", "preferred_velocity")
-        name = names[(0, 0, 1, 1, 2, 3, 4, 4)[bad.argmax()]]
+        names = (*["position"] * 2, *["velocity"] * 2, "radius", "max_speed", *["preferred_velocity"] * 2)
+        name = names[bad.argmax()]
         least = " and not below 0" if name in ("radius", "max_speed") else ""
         raise ValueError(f"{name} must be finite{least} for everybody whose position is not NaN")
+    return planes, present
 
 
 def _positive(name, value, least=np.finfo(np.float32).tiny, most=np.finfo(np.float32).max):

@@ -1,8 +1,8 @@
 """Standing polygons as edges, prepared once for a scene, and the origin from which ORCA's coordinates are taken.
 
-What an agent must know of an edge does not change while the scene plays: where it runs, in which direction the outline
-goes on at either end, and whether it turns outwards there. `polygon_edges` computes it; `edges.py` reads it.
-Left out: polygons that move, and outlines that cross themselves.
+Where an edge runs, how the outline goes on at either end, and whether it turns outwards there do not change while the
+scene plays. `polygon_edges` computes them; `edges.py` reads them. Left out: polygons that move, and outlines that cross
+themselves.
 """
 
 from dataclasses import dataclass
@@ -10,20 +10,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from sfmrl.geometry import numbers
+from sfmrl.orca.vectors import det, unit
 
-FIELDS = 15
+FIELDS = 12
 SPACING = 64.0  # m between possible origins; a power of two, so that subtracting one does not round
 ON_LINE = np.float32(1e-5)  # m^2, twice the area between a line and an edge that lies on it
 
 
 @dataclass(frozen=True)
 class Edges:
-    """The polygons' edges of E episodes: `values` is float32 (15, S, E), NaN from each episode's last edge on.
+    """The polygons' edges of E episodes: `values` is float32 (12, S, E), NaN from each episode's last edge on.
 
     The first ten rows come in pairs, for an edge's start and end: x; y (m); x; y of the unit direction in which the
-    outline goes on from there, away from this edge; whether the corner is convex (1 or 0). Then follow the edge's own
-    unit direction x, y; the way x, y (m) from its start to its end, and the negative square of its length. Seen from
-    outside, an edge starts at the left. Places are relative to the episode's `origin`, float64 (E, 2) in m.
+    outline goes on from there, away from this edge; whether the corner is convex (1 or 0). The last two are the edge's
+    own unit direction. Seen from outside, an edge starts at the left. Places are relative to the episode's `origin`,
+    float64 (E, 2) in m.
     """
 
     values: np.ndarray
@@ -41,6 +42,43 @@ class Edges:
         return Edges(self.values[:, :0], self.origin)
 
 
+def polygon_edges(polygons: np.ndarray, position: np.ndarray) -> Edges:
+    """Return the edges of solid polygons (E, P, V, 2) in m, given counter-clockwise; two vertices make a wall.
+
+    Absent vertices are NaN and come last in their polygon. `position` (E, N, 2) in m is where the agents are who will
+    see them, or where they start. Raises ValueError, which names what is wrong with the polygons.
+    """
+    polygons = numbers("polygons", polygons)
+    if polygons.ndim != 4 or polygons.shape[3] != 2:
+        raise ValueError(f"polygons must have shape (E, P, V, 2), not {polygons.shape}")
+    if len(polygons) != len(position):
+        raise ValueError(f"polygons must belong to {len(position)} episodes, not to {len(polygons)}")
+    origin = _origin_among(position)
+    present = ~np.isnan(polygons).any(axis=3)
+    with np.errstate(over="ignore", invalid="ignore"):
+        polygons = (polygons - origin[:, None, None]).astype(np.float32)
+    if not np.isfinite(polygons[present]).all():
+        raise ValueError("polygons: vertices must be finite, or NaN where they are absent")
+    if (present[:, :, 1:] & ~present[:, :, :-1]).any():
+        raise ValueError("polygons: absent vertices (NaN) must come after a polygon's last vertex")
+
+    episode, polygon, vertex = np.nonzero(present)
+    size = present.sum(axis=2)[episode, polygon]
+    before, start, end, after = (polygons[episode, polygon, (vertex + shift) % size].T for shift in (-1, 0, 1, 2))
+    first = polygons[episode, polygon, 0 * vertex].T
+    _check_outlines(start, end, first, size, episode * polygons.shape[1] + polygon)
+    previous, own, following = unit(start - before), unit(end - start), unit(after - end)
+    convex = [(det(a, b) >= 0) | (size == 2) for a, b in ((start - before, end - start), (end - start, after - end))]
+    ends = [start[0], end[0], start[1], end[1], -previous[0], following[0], -previous[1], following[1]]
+    rows = np.stack([*ends, *convex, *own])
+
+    last = present.sum(axis=(1, 2)).cumsum()
+    values = np.full((FIELDS, np.diff(last, prepend=0).max(initial=0), len(polygons)), np.nan, np.float32)
+    for e, edges in enumerate(np.split(rows, last, axis=1)[:-1]):
+        values[:, : edges.shape[1], e] = edges[:, _tree_order(edges[:4])]
+    return Edges(values, origin)
+
+
 def _origin_among(points: np.ndarray) -> np.ndarray:
     """Return the median of points (E, n, 2) in m, rounded to a multiple of 64 m, (E, 2); absent points are NaN.
 
@@ -54,48 +92,15 @@ def _origin_among(points: np.ndarray) -> np.ndarray:
     return np.nan_to_num(origin) + 0.0  # no -0, which would change the sign of a 0 when it is subtracted
 
 
-def polygon_edges(polygons: np.ndarray, position: np.ndarray) -> Edges:
-    """Return the edges of solid polygons (E, P, V, 2) in m, given counter-clockwise; absent vertices are NaN.
-
-    Absent vertices come last in their polygon; two vertices make a wall. `position` (E, N, 2) in m is where the agents
-    are who will see them, or where they start. Raises ValueError for other shapes, for vertices that are not finite,
-    for a polygon that is clockwise, and for one with a single vertex or with two equal vertices in a row.
-    """
-    polygons = numbers("polygons", polygons)
-    if polygons.ndim != 4 or polygons.shape[3] != 2:
-        raise ValueError(f"polygons must have shape (E, P, V, 2), not {polygons.shape}")
-    if len(polygons) != len(position):
-        raise ValueError(f"polygons must belong to {len(position)} episodes, not to {len(polygons)}")
-    if not polygons.shape[2]:
-        polygons = np.empty((len(polygons), 0, 1, 2))
-    origin = _origin_among(position)
-    present = ~np.isnan(polygons).any(axis=3)
-    with np.errstate(over="ignore", invalid="ignore"):
-        polygons = (polygons - origin[:, None, None]).astype(np.float32)
-    if not np.isfinite(polygons[present]).all():
-        raise ValueError("polygons: vertices must be finite, or NaN where they are absent")
-    if (present[:, :, 1:] & ~present[:, :, :-1]).any():
-        raise ValueError("polygons: absent vertices (NaN) must come after a polygon's last vertex")
-
-    count = present.sum(axis=2)
-    episode, polygon, vertex = np.nonzero(present)
-    size = count[episode, polygon]
-    before, start, end, after = (polygons[episode, polygon, (vertex + shift) % size].T for shift in (-1, 0, 1, 2))
-    _check_outlines(start, end, polygons[episode, polygon, 0].T, size, episode * polygons.shape[1] + polygon)
-    previous, own, following = _unit(start - before), _unit(end - start), _unit(after - end)
-    start_convex = (_det(start - before, end - start) >= 0) | (size == 2)
-    end_convex = (_det(end - start, after - end) >= 0) | (size == 2)
-
-    per_episode = count.sum(axis=1)
-    slot = np.arange(len(episode)) - (np.cumsum(per_episode) - per_episode)[episode]
-    values = np.full((FIELDS, per_episode.max(initial=0), len(polygons)), np.nan, np.float32)
-    ends = [start[0], end[0], start[1], end[1], -previous[0], following[0], -previous[1], following[1]]
-    edge = end - start
-    minus_squared = -(edge[0] * edge[0] + edge[1] * edge[1])
-    values[:, slot, episode] = [*ends, start_convex, end_convex, *own, *edge, minus_squared]
-    for e, edges in enumerate(per_episode):
-        values[:, :edges, e] = values[:, _tree_order(values[:4, :edges, e]), e]
-    return Edges(values, origin)
+def _check_outlines(start, end, first, size, outline):
+    """Raise ValueError for edges (2, K), numbered by their `outline`, that are no counter-clockwise polygons."""
+    if (size == 1).any():
+        raise ValueError("polygons: a polygon needs two vertices (a wall) or more, not one")
+    if (start == end).all(axis=0).any():
+        raise ValueError("polygons: two equal vertices in a row make an edge without a direction")
+    twice_area = np.bincount(outline, det(start - first, end - first))
+    if (twice_area[outline[size > 2]] <= 0).any():
+        raise ValueError("polygons: vertices must run counter-clockwise around a solid area")
 
 
 def _tree_order(ends):
@@ -108,7 +113,7 @@ def _tree_order(ends):
     start, way = ends[::2], ends[1::2] - ends[::2]
     # For each edge's line (rows), twice the areas that it spans with every edge's start and end: > 0 on its left.
     from_line = start[:, None] - start[:, :, None]
-    areas = [_det(way[:, :, None], to) for to in (from_line, from_line + way[:, None])]
+    areas = [det(way[:, :, None], to) for to in (from_line, from_line + way[:, None])]
     right = np.minimum(*areas) < -ON_LINE
     left = ~right | (np.maximum(*areas) > ON_LINE)
     np.fill_diagonal(left, False)
@@ -122,24 +127,3 @@ def _tree_order(ends):
             tree = [root]
         order.extend(tree)
     return order
-
-
-def _check_outlines(start, end, first, size, outline):
-    """Raise ValueError for edges (2, K), numbered by their `outline`, that are no counter-clockwise polygons."""
-    if (size == 1).any():
-        raise ValueError("polygons: a polygon needs two vertices (a wall) or more, not one")
-    if (start == end).all(axis=0).any():
-        raise ValueError("polygons: two equal vertices in a row make an edge without a direction")
-    twice_area = np.bincount(outline, _det(start - first, end - first))
-    if (twice_area[outline[size > 2]] <= 0).any():
-        raise ValueError("polygons: vertices must run counter-clockwise around a solid area")
-
-
-def _det(a, b):
-    """Two-dimensional cross product of vectors (2, ...)."""
-    return a[0] * b[1] - a[1] * b[0]
-
-
-def _unit(vector):
-    """Vectors (2, ...) scaled to length 1."""
-    return vector * (1 / np.sqrt(vector[0] * vector[0] + vector[1] * vector[1]))

@@ -48,25 +48,24 @@ class Geodesics:
     resolution: float
 
     def at(self, scene: np.ndarray, position: np.ndarray) -> np.ndarray:
-        """Distances in m from positions (e, ..., 2), each in the scene (e,) named for it: (e, ...).
+        """Distances in m, (e, ...), from positions (e, ..., 2), whose first axis has the scenes (e,).
 
         Linear between the centres of four free cells; elsewhere straight to the one from which it is shortest. From
-        outside a grid the way leads straight to its edge first.
+        outside a grid the path leads straight to its edge first.
         """
-        many = (slice(None),) + (None,) * (position.ndim - 2)
-        place = (position - self.corner[scene][*many, :]) / self.resolution
-        inside = np.clip(place, 0.0, (self.size[scene] - 1)[*many, :])
-        cell = np.minimum(inside.astype(int), (self.size[scene] - 2)[*many, :])
+        axes = (slice(None),) + (None,) * (position.ndim - 2)
+        place = (position - self.corner[scene][*axes, :]) / self.resolution
+        inside = np.clip(place, 0.0, (self.size[scene] - 1)[*axes, :])
+        cell = np.minimum(inside.astype(int), (self.size[scene] - 2)[*axes, :])
         share, off = inside - cell, place - inside
-        x, y, scene = cell[..., 0], cell[..., 1], scene[many]
+        x, y, scene = cell[..., 0], cell[..., 1], scene[axes]
         mixed, shortest, least, most = 0.0, np.inf, np.inf, 0.0
         for dx in (0, 1):
             for dy in (0, 1):
                 value = self.values[scene, y + dy, x + dx].astype(float)
-                away_x, away_y = np.abs(share[..., 0] - dx), np.abs(share[..., 1] - dy)
-                mixed = mixed + value * (1 - away_x) * (1 - away_y)
-                straight = np.sqrt(away_x * away_x + away_y * away_y) * self.resolution
-                shortest = np.minimum(shortest, value + straight)
+                away = np.abs(share - (dx, dy))
+                mixed = mixed + value * (1 - away[..., 0]) * (1 - away[..., 1])
+                shortest = np.minimum(shortest, value + length(away) * self.resolution)
                 least, most = np.minimum(least, value), np.maximum(most, value)
         free = most - least < 1.5 * self.resolution  # a diagonal step is the longest between free cells
         return np.where(free, mixed, shortest) + length(off) * self.resolution + self.beyond[scene]
@@ -112,8 +111,6 @@ def plan(scenes: Scenes, planner: Planner, reach: np.ndarray | None = None) -> G
 
 def solvable(scenes: Scenes, planner: Planner = Planner()) -> np.ndarray:
     """Whether a path leads from the robot's start to its goal without touching a square, (E,)."""
-    if not len(scenes):
-        return np.zeros(0, dtype=bool)
     return plan(scenes, planner).at(np.arange(len(scenes)), scenes.start[:, 0]) < UNREACHABLE
 
 
@@ -121,10 +118,10 @@ def _distances(
     scenes: Scenes, goal: np.ndarray, square: np.ndarray, corner: np.ndarray, size: np.ndarray, planner: Planner
 ) -> np.ndarray:
     """Distances (E, Y, X) to goals (E, 2) around squares (E, N), on grids as in `Geodesics`, of a few scenes."""
-    robot = scenes.radius[:, :1]
+    resolution, episode = planner.resolution, np.arange(len(scenes))
     columns, rows = size.max(axis=0)
-    x = corner[:, 0] + planner.resolution * np.arange(columns)[:, None]  # (X, E)
-    y = corner[:, 1] + planner.resolution * np.arange(rows)[:, None]  # (Y, E)
+    x = corner[:, 0] + resolution * np.arange(columns)[:, None]  # (X, E)
+    y = corner[:, 1] + resolution * np.arange(rows)[:, None]  # (Y, E)
 
     room = np.full((rows, len(scenes), columns), np.inf, dtype=np.float32)  # m from the robot's edge to a square
     for k in np.flatnonzero(square.any(0)):
@@ -132,28 +129,28 @@ def _distances(
         dx = np.where(square[:, k], np.maximum(side_x, 0.0), np.inf).T.astype(np.float32)
         dy = np.where(square[:, k], np.maximum(side_y, 0.0), np.inf).astype(np.float32)
         apart = np.sqrt((dx * dx)[None] + (dy * dy)[..., None])
-        np.minimum(room, apart - robot.astype(np.float32), out=room)
-    cost = np.where(room < planner.resolution / 4, SOLID, np.where(room < planner.inflation, NARROW, 1.0))
+        np.minimum(room, apart - scenes.radius[:, :1].astype(np.float32), out=room)
+    cost = np.where(room < resolution / 4, SOLID, np.where(room < planner.inflation, NARROW, 1.0))
     beyond = (np.arange(columns) >= size[:, :1]) | (np.arange(rows)[:, None, None] >= size[:, 1:])
-    cost = np.where(beyond, np.inf, planner.resolution * cost).astype(np.float32)
+    cost = np.where(beyond, np.inf, resolution * cost).astype(np.float32)
+
     far = np.full_like(cost, np.inf)
-    episode = np.arange(len(scenes))
-    goal = (goal - corner) / planner.resolution
-    for cell in (goal.astype(int) + np.array(shift) for shift in ((0, 0), (0, 1), (1, 0), (1, 1))):
-        far[cell[:, 1], episode, cell[:, 0]] = planner.resolution * np.sqrt(((cell - goal) ** 2).sum(1))
+    goal = (goal - corner) / resolution
+    for shift in ((0, 0), (0, 1), (1, 0), (1, 1)):  # the four cells around the goal
+        cell = goal.astype(int) + shift
+        far[cell[:, 1], episode, cell[:, 0]] = resolution * length(cell - goal)
     return _shortest(far, cost).transpose(1, 0, 2)
 
 
 def _shortest(far: np.ndarray, cost: np.ndarray) -> np.ndarray:
     """Path lengths (Y, E, X) from the cells where `far` is finite; a step counts by `cost` of the cell it ends on."""
-    turned = _widened(cost.transpose(2, 1, 0))
-    cost = _widened(cost)
-    while True:
+    turned, cost = _widened(cost.transpose(2, 1, 0)), _widened(cost)
+    before = None
+    while not np.array_equal(far, before):
         before = far
         far = _sweep(far, cost)
         far = _sweep(far.transpose(2, 1, 0), turned).transpose(2, 1, 0)
-        if np.array_equal(far, before):
-            return far
+    return far
 
 
 def _widened(grid: np.ndarray) -> np.ndarray:
@@ -168,12 +165,11 @@ def _sweep(far: np.ndarray, cost: np.ndarray) -> np.ndarray:
     """`far` (Y, E, X), shortened by what steps from earlier rows can do, upwards and then downwards."""
     rows, scenes, columns = far.shape
     wide = _widened(far)
-    length, nearest = np.empty((2, wide.shape[1]), dtype=np.float32)
+    reached, nearest = np.empty((2, wide.shape[1]), dtype=np.float32)
     for order in (range(1, rows), range(rows - 2, -1, -1)):
         for row in order:
             here = wide[row]
-            np.add(wide[row - order.step], cost[row], out=length)
-            np.minimum(here, length, out=here)
+            np.minimum(here, np.add(wide[row - order.step], cost[row], out=reached), out=here)
             for steps in STEPS:
                 nearest.fill(np.inf)
                 for back, aside in steps:
@@ -182,7 +178,6 @@ def _sweep(far: np.ndarray, cost: np.ndarray) -> np.ndarray:
                         inner = nearest[aside:-aside]
                         np.minimum(inner, wide[start, 2 * aside :], out=inner)
                         np.minimum(inner, wide[start, : -2 * aside], out=inner)
-                np.multiply(cost[row], np.float32(math.hypot(*steps[0])), out=length)
-                np.add(length, nearest, out=length)
-                np.minimum(here, length, out=here)
+                np.multiply(cost[row], np.float32(math.hypot(*steps[0])), out=reached)
+                np.minimum(here, np.add(reached, nearest, out=reached), out=here)
     return wide.reshape(rows, scenes + 1, PAD + columns)[:, :scenes, PAD:]

@@ -20,14 +20,13 @@ from sfmrl.scenes import Scenes
 from sfmrl.traps import best_untrapped
 from sfmrl.world import World, transition
 
-TRAP_STEPS = 2  # how many steps after the chosen action must be possible without a collision
+TRAP_STEPS = 2  # steps after the chosen action that must be possible without a collision
 
 
 class RecoveringPolicy:
     """Wrap a policy and take over while the robot is stuck; all other attributes are those of the wrapped policy.
 
-    `original` is the policy as it was given; `helped` (E,) says in which episodes of the latest play the robot was ever
-    stuck.
+    `original` is the policy as given; `helped` (E,) marks episodes of the latest play in which the robot was stuck.
     """
 
     def __init__(self, policy: Policy, planner: Planner) -> None:
@@ -62,7 +61,7 @@ class RecoveringPolicy:
         return action
 
     def explain(self, world: World, crowd_velocity: np.ndarray) -> tuple[np.ndarray, Notes]:
-        """The call's actions; in the notes, whether the robot is `stuck`, and what the policy itself would weigh up."""
+        """The call's actions, and the policy's own notes with whether each robot is `stuck`."""
         stuck = self.watch(world)
         action, notes = explained(self.policy, world, crowd_velocity)
         action = np.array(action, dtype=float)
@@ -71,7 +70,7 @@ class RecoveringPolicy:
         return action, notes | {"stuck": stuck}
 
     def watch(self, world: World) -> np.ndarray:
-        """Note how far the robots have come, and return which of them are stuck, (E,) bool."""
+        """Record the robots' progress, and return which of them are stuck, (E,) bool."""
         e = world.episode
         left = self.path_length(world, world.position[:, 0])
         nearer = left <= self._left[e] - self.planner.stall_distance
@@ -108,6 +107,6 @@ def straight_way_is_free(world: World, inflation: float) -> np.ndarray:
 
 
 def with_recovery(policy: Policy, planner: Planner) -> Policy:
-    """The policy with recovery if `planner.recover`, else without; what recovery it has already is taken off."""
+    """The policy with recovery if `planner.recover`, otherwise without, also where it has recovery already."""
     own = policy.original if isinstance(policy, RecoveringPolicy) else policy
     return RecoveringPolicy(own, planner) if planner.recover else own
