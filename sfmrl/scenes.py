@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sfmrl.batch import Batch
-from sfmrl.config import ConfigError, in_range, suggest
+from sfmrl.config import ConfigError, counted, in_range, suggest
 from sfmrl.geometry import vectors
 from sfmrl.placement import CIRCLE, PAPER, RADIUS, Builder, squares_of
 from sfmrl.variants import MIXES
@@ -34,7 +34,7 @@ STREAMS = (*PHASES, "fit", "batches", "exploration", "sparse")  # all uses of ra
 V_PREF = 1.0  # m/s, of every agent
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scenes(Batch):
     """Starts and goals of E episodes of N rows each: row 0 the robot, then people and squares.
 
@@ -79,6 +79,14 @@ class Scenes(Batch):
 
     def __len__(self) -> int:
         return len(self.start)
+
+    def __repr__(self) -> str:
+        return f"Scenes({counted(len(self), 'episode')} of environment {', '.join(np.unique(self.environment))})"
+
+    def _repr_html_(self) -> str:
+        from sfmrl.replay.picture import scenes_html
+
+        return scenes_html(self)
 
     @property
     def polygons(self) -> np.ndarray:

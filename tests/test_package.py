@@ -28,7 +28,7 @@ WINGS = ("orca", "fast", "recovery", "maps", "runs", "replay", "study", "lessons
 KERNELS = {"orca": {"geometry"}, "fast": {"config", "states"}}
 # Inside a function: where a name may be that of a map or of a trained network, for recovery, and for notebooks.
 LATER = {
-    "scenes": {"maps"},
+    "scenes": {"maps", "replay.picture"},
     "policies": {"recovery", "runs.weights"},
     "evaluation": {"recovery", "replay.picture"},
     "episodes": {"replay.picture"},

@@ -60,4 +60,6 @@ def test_a_record_is_written_in_a_line_and_shown_in_a_notebook(record):
     ends = ", ".join(f"{(record.outcome == end).sum()} {end}" for end in ("success", "collision", "timeout"))
     assert repr(record) == f"Record(6 episodes: {ends})"
     assert record._repr_html_() == record_html(record)
+    assert repr(record.scenes) == "Scenes(6 episodes of environment 1, 2)"
+    assert record.scenes._repr_html_() == scenes_html(record.scenes)
     assert metrics(record)._repr_html_() == metrics_html(metrics(record))
