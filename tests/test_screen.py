@@ -22,7 +22,7 @@ def test_keys_pause_step_and_change_the_speed():
     assert (player.press("\x1b[D").moment, player.press("\x1b[C").moment) == (2, 4)
     assert not player.press(".").playing
     assert (player.press("+").speed, player.press("-").speed) == (2.0, 0.5)
-    assert player.press("?") == player
+    assert player.press("x") == player
     assert player.press("q") is None
     assert Player(last=10).press(",").moment == 0
     end = player.step(99)
@@ -85,8 +85,8 @@ def test_keys_are_obeyed_and_the_terminal_put_back(keyboard):
     assert seen == [0, 0, 1, 2, 1, 1, 1, 1]
     playing, left = playing_and_left(console)
     assert "q quit" in playing
-    assert "paused   x0.04" in playing
-    assert "paused   x0.02" in playing
+    assert "paused x0.04" in playing
+    assert "paused x0.02" in playing
     assert "q quit" not in left
     assert terminal() == before
 
