@@ -143,14 +143,10 @@ def first_fitting(wordings: Sequence[str], width: int) -> str:
     return next((words for words in wordings if cell_len(words) <= width), wordings[-1])
 
 
-def without_last(parts: Sequence[str], gap: str) -> list[str]:
-    """All parts joined by `gap`, all but the last, all but the last two, and so on: wordings for `first_fitting`."""
+def shortened(words: str, gap: str = " · ") -> list[str]:
+    """`words`, then `words` without its last part, its last two parts, and so on; `gap` separates the parts."""
+    parts = words.split(gap)
     return [gap.join(parts[:count]) for count in range(len(parts), 0, -1)]
-
-
-def tidy(words: str) -> str:
-    """`words` with "?" for each character that a terminal does not show in one column."""
-    return "".join(c if c.isprintable() and cell_len(c) == 1 else "?" for c in words)
 
 
 def to_ascii(text: Text) -> Text:

@@ -8,22 +8,11 @@ panels from 161 columns on, with facts below the planes from 61 on, else one abo
 from dataclasses import dataclass
 
 import numpy as np
+from rich.cells import cell_len
 from rich.text import Text
 
 from sfmrl.geometry import direction
-from sfmrl.replay.canvas import (
-    MARGIN,
-    Canvas,
-    Style,
-    View,
-    fit_view,
-    fitted,
-    row_height,
-    span,
-    tidy,
-    to_ascii,
-    without_last,
-)
+from sfmrl.replay.canvas import MARGIN, Canvas, Style, View, fit_view, fitted, row_height, shortened, span, to_ascii
 from sfmrl.replay.panel import facts_lines, panel_lines
 from sfmrl.replay.plane import bordered, draw_moment, draw_scene
 from sfmrl.replay.story import Story, scene_name
@@ -63,7 +52,7 @@ class Replay:
 
     @property
     def last(self) -> int:
-        """The last moment; the first is 0."""
+        """The last moment."""
         return max(story.last for story in self.stories)
 
     @property
@@ -89,10 +78,8 @@ class Replay:
             lines = self._draw(0, t, _lay_out_wide(width, -(-height // 2), points, facts), width)
             lines += self._draw(1, t, _lay_out_wide(width, height - len(lines), points, facts), width)
         else:
-            half = (width - 1) // 2
-            layout = _lay_out_wide(half, height, points, facts)
-            if width >= TWO_PANELS_COLUMNS:
-                layout = _lay_out(half, height, points)
+            half, panels = (width - 1) // 2, width >= TWO_PANELS_COLUMNS
+            layout = _lay_out(half, height, points) if panels else _lay_out_wide(half, height, points, facts)
             both = (self._draw(k, t, layout, half) for k in (0, 1))
             lines = [Text.assemble(fitted(a, half), " ", fitted(b, half)) for a, b in zip(*both, strict=True)]
         return Frame(_joined(lines[:height], self.ascii_only), min(t, self.last) * self.time_step)
@@ -170,8 +157,8 @@ def _lay_out_wide(width: int, height: int, points: np.ndarray, facts: int) -> _L
 
 def _titles(label: str, story: Story) -> list[str]:
     """Wordings of a title, from the longest to the shortest."""
-    parts = story.name.split(" · ")
-    return without_last([tidy(label), *parts] if label else parts, " · ")
+    label = "".join(c if c.isprintable() and cell_len(c) == 1 else "?" for c in label)
+    return shortened(f"{label} · {story.name}" if label else story.name)
 
 
 def _joined(lines: list[Text], ascii_only: bool) -> Text:
@@ -193,18 +180,18 @@ def scene_picture(
     draw_scene(canvas, start, heading, goal[0], scenes.radius[episode], square, marked={}, push=np.zeros(2))
     lines = canvas.lines()
     if layout.bordered:
-        title = scene_name(scenes.environment[episode], scenes.episode[episode])
-        lines = [*bordered(lines, without_last(title.split(" · "), " · "), layout.view), _scene_legend(width)]
+        titles = shortened(scene_name(scenes.environment[episode], scenes.episode[episode]))
+        lines = [*bordered(lines, titles, layout.view), _scene_legend(width)]
     return _joined(lines[:height], ascii_only)
 
 
 def _scene_legend(width: int) -> Text:
-    """The glyphs of a scene's picture in at most `width` columns."""
-    glyphs = {"@": Style.ROBOT, "★": Style.GOAL, " 1→": Style.PERSON, "x": Style.DIM, "█": Style.SQUARE}
+    """The glyphs of a scene's picture, with as many words as fit into `width` columns."""
+    glyphs = (("@", Style.ROBOT), ("★", Style.GOAL), (" 1→", Style.PERSON), ("x", Style.DIM), ("█", Style.SQUARE))
     words = ("robot", "its goal", "person and heading", "a person's goal", "square")
-    if width < 80:
-        words = ("robot", "goal", "person", "", "square")
-    entries = [Text.assemble(glyph, f" {name}") for glyph, name in zip(glyphs.items(), words, strict=True) if name]
-    while len(entries) * 2 + sum(entry.cell_len for entry in entries) > width + 2:
-        entries.pop()
-    return Text("  ").join(entries)
+    fewer = ("robot", "goal", "person", "", "square")
+    legends = []
+    for names in (words, *(fewer[:count] for count in range(len(fewer), 0, -1))):
+        entries = (Text.assemble(glyph, f" {name}") for glyph, name in zip(glyphs, names, strict=False) if name)
+        legends.append(Text("  ").join(entries))
+    return next(legend for legend in legends if legend.cell_len <= width)

@@ -14,7 +14,7 @@ ENTRIES = (
     ("1 2 a", Style.PERSON, "people, and where they were"),
     ("█", Style.SQUARE, "square, with its number"),
     ("→", "", "velocity"),
-    ("⇒", Style.FORCE, "repulsion of the robot"),
+    ("⇒", Style.FORCE, "repulsion on the robot"),
     ("magenta", Style.MOST_ATTENTION, "gets the most attention"),
     (f"{SHADES} o", "", "values of actions; o is next"),
     ("━●─", "", "time line; ● is now"),

@@ -6,7 +6,7 @@ All functions return texts of a given size. Parts that a policy does not have ar
 import numpy as np
 from rich.text import Text
 
-from sfmrl.geometry import direction, length
+from sfmrl.geometry import length
 from sfmrl.replay.canvas import FORCE_ARROWS, Style, fitted, octant, styled
 from sfmrl.replay.story import Story, glyph_of
 from sfmrl.replay.timeline import OUTCOMES
@@ -29,7 +29,8 @@ def panel_lines(story: Story, t: int, rows: int, columns: int) -> list[Text]:
     account = _account(story, t, columns, terms, repulsions)
     disc = [Text(), *_actions(story, t, disc_rows, columns)] if disc_rows else []
     table = _elements(story, t, rows - 2 - len(account) - len(disc), columns)
-    top = [_clock(story, t, columns), *table, *disc][: rows - len(account)]
+    speed = Text.assemble(("speed ", Style.DIM), (f"{length(story.velocity[t, 0]):.2f} m/s", Style.ROBOT))
+    top = [_clock(story, t, columns, speed), *table, *disc][: rows - len(account)]
     lines = [*top, *[Text()] * (rows - len(top) - len(account)), *account]
     return [fitted(line, columns) for line in lines[:rows]]
 
@@ -59,9 +60,9 @@ def _share_lines(story: Story, t: int, rows: int, columns: int) -> tuple[int, in
 
 def facts_lines(story: Story, t: int, rows: int, columns: int) -> list[Text]:
     """The most important facts at moment `t`, in place of a panel: exactly `rows` texts of `columns` columns."""
-    clock = _clock(story, t, columns) if t == story.last else fitted(_time(story, t), columns, _gap(story, t))
     push = Text.assemble(("repulsion ", Style.DIM), _force(resultant(story.force[t])))
-    lines = [clock, fitted(push, columns, Text.assemble(("return ", Style.DIM), _signed(story.returns[t])))]
+    paid = Text.assemble(("return ", Style.DIM), _signed(story.returns[t]))
+    lines = [_clock(story, t, columns, _gap(story, t)), fitted(push, columns, paid)]
     if story.attention is not None:
         shares = Text.assemble(("attention", Style.DIM))
         for element in _order(story, t):
@@ -73,15 +74,12 @@ def facts_lines(story: Story, t: int, rows: int, columns: int) -> list[Text]:
     return [fitted(line, columns) for line in lines[:rows]]
 
 
-def _time(story: Story, t: int) -> Text:
-    return Text(f"t {story.time[t]:5.2f} s", "bold")
-
-
-def _clock(story: Story, t: int, columns: int) -> Text:
-    """The time, with the robot's speed or, at the end, the outcome."""
-    mark, style, words = OUTCOMES[story.outcome]
-    speed = Text.assemble(("speed ", Style.DIM), (f"{length(story.velocity[t, 0]):.2f} m/s", Style.ROBOT))
-    return fitted(_time(story, t), columns, Text(f"{mark} {words}", style) if t == story.last else speed)
+def _clock(story: Story, t: int, columns: int, right: Text) -> Text:
+    """The time, and at the right edge the outcome if the episode has ended, else `right`."""
+    if t == story.last:
+        mark, style, words = OUTCOMES[story.outcome]
+        right = Text(f"{mark} {words}", style)
+    return fitted(Text(f"t {story.time[t]:5.2f} s", "bold"), columns, right)
 
 
 def _order(story: Story, t: int) -> np.ndarray:
@@ -161,8 +159,9 @@ def action_disc(actions: np.ndarray, values: np.ndarray, taken: int, rows: int) 
     """
     radius = rows // 2
     speeds, ring = np.unique(np.round(length(actions), 6), return_inverse=True)
+    heading = np.arctan2(actions[:, 1], actions[:, 0])
     reach = radius * ring / max(len(speeds) - 1, 1)  # (A,) in rows
-    place = reach[:, None] * direction(actions)  # (A, 2)
+    place = reach[:, None] * np.stack((np.cos(heading), np.sin(heading)), -1)  # (A, 2)
     y, x = np.mgrid[radius : -radius - 1 : -1, -radius : radius : (2 * rows - 1) * 1j]
     cells = np.stack((x, y), -1)  # (rows, columns, 2)
     distance = length(cells[:, :, None] - place)  # (rows, columns, A)

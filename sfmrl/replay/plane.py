@@ -10,16 +10,7 @@ import numpy as np
 from rich.text import Text
 
 from sfmrl.geometry import direction, length
-from sfmrl.replay.canvas import (
-    FORCE_ARROWS,
-    NEIGHBOURS,
-    VELOCITY_ARROWS,
-    Canvas,
-    Style,
-    View,
-    first_fitting,
-    octant,
-)
+from sfmrl.replay.canvas import FORCE_ARROWS, NEIGHBOURS, VELOCITY_ARROWS, Canvas, Style, View, first_fitting, octant
 from sfmrl.replay.story import Story, glyph_of
 from sfmrl.sfm import resultant
 

@@ -17,13 +17,13 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from sfmrl.replay.canvas import Style, first_fitting, fitted, to_ascii, without_last
+from sfmrl.replay.canvas import Style, first_fitting, fitted, shortened, to_ascii
 from sfmrl.replay.legend import with_legend
 
 SPEEDS = (0.01, 64.0)  # times real time, the slowest and the fastest
 LONGEST_WAIT = 0.2  # s between two checks whether the terminal was resized
 STEP_KEYS = {",": -1, "\x1b[D": -1, ".": 1, "\x1b[C": 1}  # comma and full stop, or the arrow keys
-HINTS = ("? legend", "q quit", "space pause", ", . step", "+ - speed")  # the most important ones first
+HINTS = "? legend  q quit  space pause  , . step  + - speed"  # the most important ones first
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def _with_hints(picture: Text, player: Player, console: Console) -> Group:
     """The picture, under the legend if that is shown, and a line that names as many keys as fit."""
     columns, ascii_only = console.width, picture.plain.isascii()
     status = Text(player.status, Style.DIM)
-    words = first_fitting(without_last(HINTS, "  "), columns - status.cell_len - 2)
+    words = first_fitting(shortened(HINTS, "  "), columns - status.cell_len - 2)
     if player.legend:
         picture, words = with_legend(picture, columns, max(console.height - 1, 1)), "any key closes the legend"
     shown = picture, fitted(Text(f" {words}", Style.DIM), columns, status)

@@ -3,7 +3,7 @@
 from rich.text import Text
 
 from sfmrl.geometry import length
-from sfmrl.replay.canvas import Style, first_fitting, fitted, without_last
+from sfmrl.replay.canvas import Style, first_fitting, fitted, shortened
 from sfmrl.replay.story import Story, glyph_of
 
 OUTCOMES = {  # mark, style of the mark, words
@@ -35,41 +35,38 @@ def sentence(story: Story, t: int, columns: int = 80) -> Text:
     """
     close = [(first, min(last, t)) for first, last in story.close if first <= t]
     if t == story.last:
-        mark, style, _ = OUTCOMES[story.outcome]
-        outcome, semicolon, more = first_fitting(_endings(story), columns - 3).partition(";")
-        return Text.assemble((f" {mark} ", style), (outcome, "bold"), semicolon, more)
-    if story.stuck[t]:
-        wordings = ["stuck: led around the squares until the straight way is free", "stuck: led around the squares"]
-        return Text.assemble((" ~ ", Style.DELAY), first_fitting([*wordings, "stuck"], columns - 3))
-    if close:
-        first, last = close[-1]
-        gaps = story.separations[first - 1 : last].min(0)  # of the steps that led to these moments
-        row, gap = int(gaps.argmin()) + 1, f"{gaps.min():.2f} m"
-        when = " to ".join(f"{story.time[moment]:.2f}" for moment in sorted({first, last}))
-        brief = f"{gap} to {glyph_of(row)}"
-        wordings = [f"too close {when} s ({story.called(row)}, {gap})", f"{brief}, {when} s", brief]
-        return Text.assemble((" ! ", Style.DANGER), first_fitting(wordings, columns - 3))
-    return Text(
-        first_fitting([" too close to nobody so far", " nobody close"] if t else [" at the start"], columns), Style.DIM
-    )
+        (mark, style, _), wordings = OUTCOMES[story.outcome], _endings(story)
+    elif story.stuck[t]:
+        led = "stuck: led around the squares"
+        mark, style, wordings = "~", Style.DELAY, [f"{led} until the straight way is free", led, "stuck"]
+    elif close:
+        mark, style, wordings = "!", Style.DANGER, _approaches(story, *close[-1])
+    else:
+        words = "too close to nobody so far" if t else "at the start"
+        return Text(first_fitting([f" {words}", " nobody close"], columns), Style.DIM)
+    words, semicolon, more = first_fitting(wordings, columns - 3).partition(";")
+    return Text.assemble((f" {mark} ", style), (words, "bold" if t == story.last else ""), semicolon, more)
+
+
+def _approaches(story: Story, first: int, last: int) -> list[str]:
+    """Wordings of when in the moments `first` to `last` the robot was too close to which element, the longest first."""
+    gaps = story.separations[first - 1 : last].min(0)  # of the steps that led to these moments
+    row, gap = int(gaps.argmin()) + 1, f"{gaps.min():.2f} m"
+    when = " to ".join(f"{story.time[moment]:.2f}" for moment in sorted({first, last}))
+    return [f"too close {when} s ({story.called(row)}, {gap})", *shortened(f"{gap} to {glyph_of(row)}, {when} s", ", ")]
 
 
 def _endings(story: Story) -> list[str]:
-    """Wordings of the outcome and of how long the robot was too close or stuck, from the longest to the shortest."""
-    words = OUTCOMES[story.outcome][2]
-    time = f"{story.time[-1]:.2f} s"
-    if story.outcome == "success":
-        long = short = f"{words} after {time}"
-    elif story.outcome == "collision":
-        long, short = (
-            f"{words} at {time}: hit {' and '.join(map(name, story.hit))}" for name in (story.called, glyph_of)
-        )
-    else:
-        distance = f"{length(story.goal[0] - story.position[-1, 0]):.2f} m"
-        long, short = f"{words} at {time}, {distance} from the goal", f"{words}, {distance} to go"
+    """Wordings of the outcome and of how long the robot was too close or stuck, the longest first."""
+    time, distance = f"{story.time[-1]:.2f} s", f"{length(story.goal[0] - story.position[-1, 0]):.2f} m"
+    names, glyphs = " and ".join(map(story.called, story.hit)), " and ".join(map(glyph_of, story.hit))
+    words, fewer = {
+        "success": (f"goal reached after {time}", "goal reached"),
+        "collision": (f"collision at {time}: hit {names}", f"collision at {time}: hit {glyphs}"),
+        "timeout": (f"time is up at {time}, {distance} from the goal", f"time is up, {distance} to go"),
+    }[story.outcome]
     close = sum(last - first + 1 for first, last in story.close) * story.time[1]  # s
     stuck = story.stuck.sum() * story.time[1]  # s
-    parts = [long, f"too close for {close:.2f} s" if close else "never too close"]
-    if stuck:
-        parts.append(f"stuck for {stuck:.2f} s")
-    return [*without_last(parts, "; "), short, words]
+    words += f"; too close for {close:.2f} s" if close else "; never too close"
+    words += f"; stuck for {stuck:.2f} s" if stuck else ""
+    return [*shortened(words, "; "), fewer, OUTCOMES[story.outcome][2]]
