@@ -19,11 +19,11 @@ from sfmrl.replay.story import Story, scene_name
 from sfmrl.replay.timeline import sentence, timeline
 from sfmrl.scenes import Scenes
 
-SIDE_BY_SIDE_COLUMNS = 61  # from which two policies stand side by side, else one above the other
-TWO_PANELS_COLUMNS = 161  # ... and from which each has a panel
-STACKED_LINES = 16  # at least, for two policies one above the other
-PANEL_COLUMNS = (32, 44)  # of a panel beside the plane, at least and at most
-PANEL_LINES = 9  # lines below a plane from which they hold a panel instead of facts
+SIDE_BY_SIDE_COLUMNS = 61  # least columns for two policies side by side; else one stands above the other
+TWO_PANELS_COLUMNS = 161  # least columns for two policies side by side, each with a panel
+STACKED_LINES = 16  # least lines for two policies one above the other
+PANEL_COLUMNS = (32, 44)  # least and most columns of a panel beside the plane
+PANEL_LINES = 9  # least lines below a plane for a panel; fewer lines show a few facts
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ def _joined(lines: list[Text], ascii_only: bool) -> Text:
 def scene_picture(
     scenes: Scenes, episode: int = 0, *, width: int = 80, height: int = 24, ascii_only: bool = False
 ) -> Text:
-    """The scene in row `episode` before the first step: starts, goals, and the way from the ones to the others."""
+    """The scene in row `episode` before the first step: starts, goals, and headings from start to goal."""
     start, goal, square = scenes.start[episode], scenes.goal[episode], scenes.square[episode]
     # A line of legend takes the place of the two below a replay's plane.
     layout = _lay_out(width, max(height - 3, 1) + 4, np.concatenate((start, goal)), panel=False)

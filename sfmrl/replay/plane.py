@@ -1,4 +1,4 @@
-"""Draw the scene from above: where everybody is and has been, where they are heading, and the force on the robot.
+"""Draw the scene from above: positions, trails and velocities of the robot and people, and the force on the robot.
 
 Velocities are single arrows, the resultant of the repulsive forces is a double one. If the scale is large enough to
 draw discs as rings, the length of an arrow shows the magnitude; otherwise an arrow is one glyph beside its disc.
