@@ -30,8 +30,6 @@ from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenes import Scenes, sample_scenes
 from sfmrl.variants import make_config
 
-SIZES = [(80, 24), (120, 40), (60, 16), (40, 12), (200, 50), (20, 8), (9, 4), (1, 1)]
-
 
 class Eyes:
     """Stands for SARL: attention to the elements as given, and every action worth its speed along the x axis."""
@@ -57,23 +55,19 @@ def frames_of(record, policy=None, *, label="", reward=Reward(), width=80, heigh
 
 def record_of(position, *, outcome=SUCCESS, separations=None, square=False, goal=(0.0, 4.0)):
     """A record of one episode with these positions (T + 1, N, 2); nobody is near unless `separations` (T, K) say so."""
-    position = np.asarray(position, dtype=float)
     steps, rows = len(position) - 1, position.shape[1]
     velocity = np.concatenate((0 * position[:1], np.diff(position, axis=0) / 0.25))
-    goals = np.tile(np.asarray(goal, dtype=float), (rows, 1))
-    outcomes = np.full(steps, RUNNING)
-    outcomes[-1] = outcome
-    if separations is None:
-        separations = np.full((steps, rows - 1), np.inf)
+    goals = np.tile(goal, (rows, 1))
+    distance = np.hypot(*(position[:, 0] - goals[0]).T)
     transition = Transition(
         time=0.25 * np.arange(1, steps + 1),
         time_step=np.full(steps, 0.25),
         velocity=velocity[1:, 0],
         preferred_velocity=np.tile((0.0, 1.0), (steps, 1)),
-        goal_distance_before=np.hypot(*(position[:-1, 0] - goals[0]).T),
-        goal_distance=np.hypot(*(position[1:, 0] - goals[0]).T),
-        separations=np.asarray(separations, dtype=float),
-        outcome=outcomes,
+        goal_distance_before=distance[:-1],
+        goal_distance=distance[1:],
+        separations=np.full((steps, rows - 1), np.inf) if separations is None else separations,
+        outcome=np.array([RUNNING] * (steps - 1) + [outcome]),
     )
     return Record(
         Scenes(position[None, 0], goals[None], square=square, environment="2", episode=np.array([17])),
@@ -115,21 +109,6 @@ def played():
     config = make_config("quick", "sarl-sfm6")
     policy = SarlPolicy(ValueNetwork(forces=True, value_prior=True), config)
     return play_episodes(sample_scenes("2", [2]), policy, config.reward, Simulation(), keep=True), policy
-
-
-@pytest.mark.parametrize("ascii_only", [False, True])
-@pytest.mark.parametrize(("width", "height"), SIZES)
-def test_frames_fit_and_show_the_robot(width, height, ascii_only):
-    scenes = sample_scenes("2", [2])
-    record, policy = play(scenes, "orca"), Eyes(*np.full(10, 0.1))
-    frames = frames_of(record, policy=policy, label="eyes", width=width, height=height, ascii_only=ascii_only)
-    assert len(frames) == record.steps[0] + 1
-    for frame in frames:
-        assert_fits(frame.plain, width, height)
-        assert "@" in frame.plain
-        assert frame.plain.isascii() == ascii_only or min(width, height) < 5
-        if height >= 8:
-            assert frame.plain.count("\n") + 1 == height
 
 
 def test_seven_bits_whatever_the_label():
@@ -178,12 +157,11 @@ def test_headings_are_drawn_next_to_those_who_move():
     path = walk(others=((2.0, 0.0), (-2.0, 0.0), (2.0, 2.0)))
     path[:, 1, 0] += 0.2 * np.arange(9)  # person 1 to the right
     path[:, 2, 0] -= 0.2 * np.arange(9)  # person 2 to the left, person 3 stands
-    picture = frames_of(record_of(path))[4].plain
-    assert "1→" in picture
-    assert "←2" in picture
-    assert not any(f"3{arrow}" in picture or f"{arrow}3" in picture for arrow in "→↗↑↖←↙↓↘")
-    robot, above = find("@", frames_of(record_of(path))[4]), find("↑", frames_of(record_of(path))[4])
-    assert tuple(robot - above) == (1, 0)
+    frame = frames_of(record_of(path))[4]
+    assert "1→" in frame.plain
+    assert "←2" in frame.plain
+    assert not re.search("3[→↗↑↖←↙↓↘]|[→↗↑↖←↙↓↘]3", frame.plain)
+    assert tuple(find("@", frame) - find("↑", frame)) == (1, 0)
 
 
 def test_touching_squares_join():
@@ -194,8 +172,6 @@ def test_touching_squares_join():
         line = next(line for line in lines if "1" in line and "2" in line and "3" in line)
         wall = line[line.index("1") : line.index("3") + 1]
         assert set(wall) == set("123#")
-        columns = np.diff([lines[0].index("-"), lines[0].rindex("+")])[0]
-        assert columns > 40
 
 
 def test_many_few_and_absent_elements():
@@ -207,14 +183,6 @@ def test_many_few_and_absent_elements():
     absent = frames_of(record_of(walk(others=((np.nan, np.nan), (1.0, 1.0)))), policy=Eyes(0.0, 1.0))
     assert "■1" not in absent[3].plain
     assert " 2 █" in absent[3].plain
-
-
-def test_a_robot_that_goes_far_stays_in_the_picture():
-    path = walk()
-    path[:, 0] *= 7.0
-    for frame in frames_of(record_of(path, outcome=TIMEOUT)):
-        assert find("@", frame).min() >= 0
-        assert_fits(frame.plain, 80, 24)
 
 
 def test_attention_is_listed_from_most_to_least():
@@ -232,22 +200,16 @@ def test_attention_is_listed_from_most_to_least():
     assert [float(row.split()[-2]) for row in rows] == pytest.approx(gaps, abs=0.006)
 
 
-def test_without_a_network_there_is_no_attention():
-    plain = frames_of(record_of(walk()), label="orca")[2].plain
+def test_without_a_network_there_is_no_attention_and_in_small_frames_no_panel():
+    record = record_of(walk(others=((1.0, 0.0), (-2.0, 0.0))))
+    plain = frames_of(record)[4].plain  # the robot is at (0, 0)
     assert "attention" not in plain
     assert "actions" not in plain
     assert "nearest" in plain
-
-
-def test_narrow_or_low_frames_have_no_panel():
-    for width, height in ((59, 24), (80, 15)):
-        assert "repulsion" not in frames_of(record_of(walk()), width=width, height=height)[2].plain
-    assert "repulsion" in frames_of(record_of(walk()), width=60, height=16)[2].plain
-
-
-def test_repulsion_and_what_contributes_most():
-    plain = frames_of(record_of(walk(others=((1.0, 0.0), (-2.0, 0.0)))))[4].plain  # the robot is at (0, 0)
     assert f"⇐ {np.exp(-1.0) - np.exp(-2.0):.2f} m/s², mostly 1" in plain
+    for width, height in ((59, 24), (80, 15), (60, 16)):
+        shown = "repulsion" in frames_of(record, width=width, height=height)[2].plain
+        assert shown == ((width, height) == (60, 16))
 
 
 def test_repulsion_is_an_arrow_on_the_robot():
@@ -266,29 +228,33 @@ def test_repulsion_is_an_arrow_on_the_robot():
 
 
 def test_where_there_is_room_each_element_has_its_repulsion():
-    others = ((1.0, 0.0), (-2.0, 0.0), (0.0, 3.0))
-    record = record_of(walk(others=others))
-    wide = frames_of(record, policy=Eyes(0.2, 0.5, 0.3), width=140, height=30)[4].plain
+    record = record_of(walk(others=((1.0, 0.0), (-2.0, 0.0), (0.0, 3.0))))
+    wide, tall = (
+        frames_of(record, policy=Eyes(0.2, 0.5, 0.3), width=w, height=h)[4].plain.split("\n")
+        for w, h in ((140, 30), (80, 40))
+    )
     for name, glyph, distance in (("1", "⇐", 1.0), ("2", "⇒", 2.0), ("3", "⇓", 3.0)):
-        row = next(line for line in wide.split("\n") if "%" in line and line.split("│")[2].split()[0] == name)
+        row = next(line for line in wide if "%" in line and line.split("│")[2].split()[0] == name)
         assert f"{glyph} {np.exp(-distance):.2f}" in row
-    tall = frames_of(record, policy=Eyes(0.2, 0.5, 0.3), width=80, height=40)[4].plain
-    for name, glyph, distance in (("1", "⇐", 1.0), ("2", "⇒", 2.0), ("3", "⇓", 3.0)):
-        row = next(line for line in tall.split("\n") if f"of person {name}" in line)
+        row = next(line for line in tall if f"of person {name}" in line)
         assert row.endswith(f"{glyph} {np.exp(-distance):.2f} m/s²")
 
 
-def test_where_there_is_room_the_panel_tells_all_elements_and_terms(played):
+def test_the_panel_of_sarl_shows_attention_values_and_reward_and_where_there_is_room_all_elements_and_terms(played):
     record, policy = played
     small, large = (
-        frames_of(record, policy, reward=policy.config.reward, width=w, height=h)[5].plain
+        [frame.plain for frame in frames_of(record, policy, reward=policy.config.reward, width=w, height=h)]
         for w, h in ((80, 24), (120, 40))
     )
-    assert large.count("%") == np.isfinite(record.position[0, 0, 1:, 0]).sum() == 10
-    assert small.count("%") < 10
+    assert {text.count("\n") + 1 for text in small} == {24}
+    assert f"{record.reward[0, 4]:+.4f}".replace("-0.0000", "+0.0000") in small[5]
+    for words in ("attention", "value of the 81 actions", "reward of the step", "velocity", "distance"):
+        assert words in small[5]
+    assert float(small[-1].split("return so far")[1].split()[0]) == pytest.approx(record.discounted_return[0], abs=1e-4)
+    assert large[5].count("%") == np.isfinite(record.position[0, 0, 1:, 0]).sum() == 10 > small[5].count("%")
     for term in ("collision", "goal", "discomfort", "velocity", "distance"):
-        assert f"  {term} " in large
-    assert "  goal " not in small
+        assert f"  {term} " in large[5]
+    assert "  goal " not in small[5]
 
 
 def test_actions_are_a_disc_dense_where_values_are_high():
@@ -307,23 +273,10 @@ def test_values_of_the_actions_and_of_the_next_one():
     path = walk()
     path[4:, 0] = path[3, 0] + (0.25, 0.0)  # step 3 goes along x, the others do not; values are speeds along x
     frames = frames_of(record_of(path), policy=Eyes(0.5, 0.5))
-    assert "value of the 81 actions" in frames[3].plain
-    assert "best   1.000" in frames[3].plain
-    assert "stay   0.000" in frames[3].plain
-    assert "worst  -1.000" in frames[3].plain
+    for words in ("value of the 81 actions", "best   1.000", "stay   0.000", "worst  -1.000"):
+        assert words in frames[3].plain
     assert ["next   1.000" in frame.plain for frame in frames[1:6]] == [False, False, True, False, False]
     assert "next" not in frames[-1].plain
-
-
-def test_a_sarl_episode_is_told_with_its_reward(played):
-    record, policy = played
-    frames = frames_of(record, policy=policy, reward=policy.config.reward)
-    assert {len(frame.plain.split("\n")) for frame in frames} == {24}
-    assert f"{record.reward[0, 4]:+.4f}".replace("-0.0000", "+0.0000") in frames[5].plain
-    for word in ("attention", "value of the 81 actions", "reward of the step", "velocity", "distance"):
-        assert word in frames[5].plain
-    total = frames[-1].plain.split("return so far")[1].split()[0]
-    assert float(total) == pytest.approx(record.discounted_return[0], abs=1e-4)
 
 
 def test_what_is_faint_or_bold_stays_with_its_own_words():
@@ -393,12 +346,11 @@ def test_the_last_frame_says_how_it_ended(outcome, gaps, words):
 def test_stills_are_evenly_spaced_with_both_ends():
     assert evenly_spaced(12, 4) == [0, 4, 8, 12]
     assert evenly_spaced(12, 1) == [12]
-    assert evenly_spaced(12, 0) == []
     assert evenly_spaced(12, 99) == list(range(13))
     for count in range(2, 14):
         moments = evenly_spaced(12, count)
-        assert len(moments) == count
-        assert moments == sorted(set(moments))
+        assert len(set(moments)) == count
+        assert moments == sorted(moments)
         assert (moments[0], moments[-1]) == (0, 12)
 
 
@@ -408,7 +360,7 @@ coordinates = st.one_of(st.floats(-6, 6), st.floats(-500, 500), st.just(np.nan))
 @given(st.data())
 def test_any_positions_fit_and_show_the_robot(data):
     steps, others = data.draw(st.integers(1, 3)), data.draw(st.integers(0, 12))
-    width, height = data.draw(st.integers(1, 130)), data.draw(st.integers(1, 45))
+    width, height = data.draw(st.integers(1, 200)), data.draw(st.integers(1, 50))
     flat = data.draw(st.lists(coordinates, min_size=2 * (others + 1), max_size=2 * (others + 1)))
     path = np.tile(np.array(flat).reshape(1, -1, 2), (steps + 1, 1, 1))
     path[:, np.isnan(path[0]).any(-1)] = np.nan
@@ -417,25 +369,48 @@ def test_any_positions_fit_and_show_the_robot(data):
     squares = np.arange(others + 1) > data.draw(st.integers(0, others))
     outcome = data.draw(st.sampled_from([SUCCESS, COLLISION, TIMEOUT]))
     ascii_only, eyes = data.draw(st.booleans()), data.draw(st.booleans())
-    for frame in frames_of(
+    frames = frames_of(
         record_of(path, outcome=outcome, square=squares),
         policy=Eyes(*np.full(others, 1 / max(others, 1))) if eyes else None,
+        label="eyes",
         width=width,
         height=height,
         ascii_only=ascii_only,
-    ):
+    )
+    assert len(frames) == steps + 1
+    for frame in frames:
         assert_fits(frame.plain, width, height)
         assert "@" in frame.plain
-        assert frame.plain.isascii() or not ascii_only
+        assert frame.plain.isascii() == ascii_only or width < 20 or height < 8
+        assert frame.plain.count("\n") + 1 == height or height < 8
+
+
+@pytest.mark.parametrize("label", ["sarl-sfm6", "orca", ""])
+def test_titles_and_sentences_are_never_cut_within_a_word(label):
+    separations = np.full((8, 2), np.inf)
+    separations[2:5, 1] = 0.15, 0.12, 0.18
+    separations[7] = -0.2, -0.1
+    record = record_of(walk(), outcome=COLLISION, separations=separations)
+    whole = [label, "environment 2", "episode 17"] if label else ["environment 2", "episode 17"]
+    for width in range(28, 101):
+        for t, frame in enumerate(frames_of(record, label=label, width=width, height=20)):
+            first, *_, last = frame.plain.split("\n")
+            title = first[1 : first.index("╮")].strip("─ ").split(" · ")
+            parts = [f"{0.25 * t:.2f} s", *whole] if "s" in title[0].split() else whole
+            assert title == parts[: len(title)]
+            assert last.split()[-1] in {"start", "far", "s", "m)", "2", "collision"}, last
 
 
 @pytest.mark.parametrize("environment", ["1", "2", "3", "4", "5", "circle"])
 def test_scene_pictures(environment):
     scenes = sample_scenes(environment, 2)
-    for width, height in SIZES[:4]:
+    for width, height in ((80, 24), (120, 40), (60, 16), (40, 20), (20, 8)):
         plain = scene_picture(scenes, 1, width=width, height=height, ascii_only=True).plain
         assert_fits(plain, width, height)
         assert plain.isascii()
+        legend = plain.split("\n")[-1]
+        assert re.search("(square|person|goal)$", legend)
+        assert legend.endswith("square") or width == 20
     plain = scene_picture(scenes, 1).plain
     assert "@" in plain
     assert "★" in plain

@@ -2,6 +2,7 @@
 
 import io
 import os
+import re
 import sys
 
 import pytest
@@ -22,12 +23,19 @@ def test_keys_pause_step_and_change_the_speed():
     assert (player.press("\x1b[D").moment, player.press("\x1b[C").moment) == (2, 4)
     assert not player.press(".").playing
     assert (player.press("+").speed, player.press("-").speed) == (2.0, 0.5)
-    assert player.press("?") == player
+    assert player.press("x") == player
     assert player.press("q") is None
     assert Player(last=10).press(",").moment == 0
     end = player.step(99)
     assert (end.moment, end.playing) == (10, False)
     assert (end.press(" ").moment, end.press(" ").playing) == (0, True)
+
+
+def test_any_key_closes_the_legend_and_does_nothing_else():
+    player = Player(last=10).step(3)
+    assert player.press("?").legend
+    for key in "?q x.":
+        assert player.press("?").press(key) == player
 
 
 @pytest.fixture
@@ -85,10 +93,38 @@ def test_keys_are_obeyed_and_the_terminal_put_back(keyboard):
     assert seen == [0, 0, 1, 2, 1, 1, 1, 1]
     playing, left = playing_and_left(console)
     assert "q quit" in playing
-    assert "paused   x0.04" in playing
-    assert "paused   x0.02" in playing
+    assert "paused x0.04" in playing
+    assert "paused x0.02" in playing
     assert "q quit" not in left
     assert terminal() == before
+
+
+@pytest.mark.parametrize("size", [(80, 25), (40, 20)])
+@pytest.mark.parametrize("ascii_only", [False, True])
+def test_the_legend_explains_symbols_and_keys_over_the_frame_while_time_stands_still(keyboard, size, ascii_only):
+    type_keys, _ = keyboard
+    console, seen, keys = screen(), [], [b"?", b"?", b" ", b"q"]
+    console.size = size
+
+    def draw(moment, width, height):
+        seen.append(moment)
+        if keys:
+            type_keys(keys.pop(0))
+        return Text(picture(moment, width, height).plain.replace("=", "=" if ascii_only else "═"))
+
+    play_live(draw, LAST, console, speed=0.01)
+    assert seen == [0] * 5
+    shown = console.file.getvalue()
+    (legend,) = (part for part in shown.split("\x1b[H") if "any key closes the legend" in part)
+    assert legend.isascii() == ascii_only
+    for words in ("@       robot", "!       too close", "T       time is up", "space   pause", "q       quit"):
+        assert words in legend
+    assert "moment 0." not in legend
+    assert ("==" in legend or "══" in legend) == (size == (80, 25))  # the frame beside it
+    hints = [re.split(" {2,}", line.strip()) for line in re.findall(r" \? legend[^\x1b\n]*", shown)]
+    assert [line[-1] for line in hints] == ["x0.01", "x0.01", "paused x0.01"]
+    keys = ["? legend", "q quit", "space pause", ", . step", "+ - speed"]
+    assert [line[:-1] for line in hints] == ([keys] * 3 if size == (80, 25) else [keys[:3], keys[:3], keys[:2]])
 
 
 def test_the_terminal_is_put_back_after_an_interruption(keyboard):

@@ -1,22 +1,27 @@
-"""Draw on a grid of characters in metres, with braille dots and quarter blocks for what is finer than a cell.
+"""Draw on a grid of characters in metres, with braille dots and quarter blocks for details finer than a cell.
 
 A cell is twice as high as it is wide, as in most terminals, so circles look round. A cell holds 2 x 4 braille dots or
-2 x 2 quarter blocks. All glyphs are Unicode, one column wide; `to_ascii` replaces each by one of seven bits.
+2 x 2 quarter blocks. All glyphs are Unicode, one column wide; `to_ascii` replaces each by a 7-bit character.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 from rich.cells import cell_len
 from rich.text import Text
 
-# Styles, by what they show.
-ROBOT, PERSON, SQUARE, GOAL, FORCE = "bold cyan", "bold", "grey50", "bold green", "bold color(208)"
-MOST_ATTENTION = "bold magenta"
-DANGER = "bold red"  # a collision, or too close
-DELAY = "bold yellow"  # a time-out, or a stuck robot
-DIM = "dim"  # labels, and what is only background
+
+class Style:
+    """Rich styles, by what they show."""
+
+    ROBOT, PERSON, SQUARE, GOAL, FORCE = "bold cyan", "bold", "grey50", "bold green", "bold color(208)"
+    MOST_ATTENTION = "bold magenta"
+    DANGER = "bold red"  # a collision, or too close
+    DELAY = "bold yellow"  # a time-out, or a stuck robot
+    DIM = "dim"  # labels and background
+
 
 VELOCITY_ARROWS = "→↗↑↖←↙↓↘"  # counter-clockwise from the x axis, 45 degrees apart
 FORCE_ARROWS = "⇒⇗⇑⇖⇐⇙⇓⇘"
@@ -24,14 +29,13 @@ NEIGHBOURS = np.array([(0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1,
 QUARTERS = " ▘▝▀▖▌▞▛▗▚▐▜▄▙▟█"  # by the sum of 1 (upper left), 2 (upper right), 4 (lower left), 8 (lower right)
 BRAILLE = 0x2800  # the empty braille cell; a dot's bit by its row and column:
 DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
+MARGIN = 0.15  # m around all points of a view
 
 _ASCII = str.maketrans(
     dict(zip(VELOCITY_ARROWS + FORCE_ARROWS, ">/^\\</v\\" * 2, strict=True))
-    | {glyph: "#" if bin(k).count("1") > 1 else " " for k, glyph in enumerate(QUARTERS)}
+    | {glyph: "#" if k.bit_count() > 1 else " " for k, glyph in enumerate(QUARTERS)}
     | {chr(BRAILLE + k): "." for k in range(1, 256)}
-    | dict(zip("▉▊▋▍▎▏░▒▓", "###   .:+", strict=True))
-    | dict(zip("─│╭╮╰╯├┤━●", "-|++++||=o", strict=True))
-    | dict(zip("★·…²■", "*.~2#", strict=True))
+    | dict(zip("▉▊▋▍▎▏░▒▓─│╭╮╰╯├┤━●★·…²■", "###   .:+-|++++||=o*.~2#", strict=True))
 )
 
 
@@ -49,24 +53,30 @@ class View:
         """Row and column of points (..., 2) in m when each cell is cut into `down` x `across`: (..., 2) integers."""
         row = (self.top - points[..., 1]) * (down / self.row)
         column = (points[..., 0] - self.left) * (2 * across / self.row)
-        return np.floor(np.stack((row, column), -1)).astype(int)
+        outside = -9.0  # for NaN: not in the view, nor is a neighbour
+        return np.floor(np.nan_to_num(np.stack((row, column), -1), nan=outside)).astype(int)
 
 
-def fit_view(points: np.ndarray, rows: int, columns: int, margin: float = 0.15) -> View:
-    """The centred view that shows `points` (n, 2) and a `margin` around them, in m, at the largest possible scale.
+def row_height(points: np.ndarray, rows: float = np.inf, columns: float = np.inf) -> float:
+    """The least height of a row, at least 0.1 m, with which `rows` x `columns` cells show `points` (n, 2) in m."""
+    width, height = span(points) + 2 * MARGIN
+    return max(height / rows, 2 * width / columns, 0.1) * (1 + 1e-9)
 
-    Points that are NaN or infinite are ignored; a row is at least 0.1 m high.
-    """
-    points = points[np.isfinite(points).all(-1)]
-    low, high = (points.min(0) - margin, points.max(0) + margin) if len(points) else (np.zeros(2), np.zeros(2))
-    span = high - low
-    row = max(span[1] / rows, 2 * span[0] / columns, 0.1) * (1 + 1e-9)
-    middle = (low + high) / 2
-    return View(middle[0] - row * columns / 4, middle[1] + row * rows / 2, row, rows, columns)
+
+def span(points: np.ndarray) -> np.ndarray:
+    """Width and height (2,) of what points (n, 2) cover; NaN is ignored."""
+    return np.nanmax(points, axis=0) - np.nanmin(points, axis=0)
+
+
+def fit_view(points: np.ndarray, rows: int, columns: int) -> View:
+    """The centred view that shows `points` (n, 2) in m at the largest possible scale; NaN is ignored."""
+    row = row_height(points, rows, columns)
+    x, y = (np.nanmax(points, axis=0) + np.nanmin(points, axis=0)) / 2
+    return View(x - row * columns / 4, y + row * rows / 2, row, rows, columns)
 
 
 class Canvas:
-    """A grid of glyphs and their styles; coordinates are in metres, and what lies outside the view is not drawn."""
+    """A grid of glyphs and their styles; coordinates are in m, and nothing is drawn outside the view or at NaN."""
 
     def __init__(self, view: View) -> None:
         self.view = view
@@ -75,16 +85,18 @@ class Canvas:
 
     def put(self, point: np.ndarray, glyph: str, style: str = "", step: np.ndarray | tuple = (0, 0)) -> None:
         """Draw one glyph at a point (2,), or `step` = (rows, columns) away from its cell."""
-        if np.isfinite(point).all():
-            self._set(*(self.view.cells(point) + step), glyph, style)
+        cell = tuple(self.view.cells(point) + step)
+        if self._inside(*cell):
+            self.glyphs[cell], self.styles[cell] = glyph, style
 
     def dots(self, points: np.ndarray, style: str = "") -> None:
         """Draw a braille dot at each point (n, 2), except in cells that hold a glyph of another kind."""
-        for row, column in self.view.cells(points[np.isfinite(points).all(-1)], 4, 2):
-            r, c = row // 4, column // 2
-            if self._inside(r, c) and (self.glyphs[r, c] == " " or ord(self.glyphs[r, c]) & ~0xFF == BRAILLE):
-                bits = ord(self.glyphs[r, c]) & 0xFF if self.glyphs[r, c] != " " else 0
-                self._set(r, c, chr(BRAILLE | bits | DOTS[row % 4, column % 2]), style)
+        for row, column in self.view.cells(points, 4, 2):
+            cell = row // 4, column // 2
+            if self._inside(*cell):
+                code = BRAILLE if self.glyphs[cell] == " " else ord(self.glyphs[cell])
+                if code & ~0xFF == BRAILLE:
+                    self.glyphs[cell], self.styles[cell] = chr(code | DOTS[row % 4, column % 2]), style
 
     def squares(self, centres: np.ndarray, halves: np.ndarray, style: str = "") -> None:
         """Draw solid squares about `centres` (n, 2) with half sides `halves` (n,); squares that touch join."""
@@ -95,8 +107,8 @@ class Canvas:
         within_y = np.abs(y - centres[:, 1:]) <= halves[:, None] + 1e-9  # (n, 2 rows)
         solid = (within_y[:, :, None] & within_x[:, None, :]).any(0)  # (2 rows, 2 columns)
         code = solid[::2, ::2] + 2 * solid[::2, 1::2] + 4 * solid[1::2, ::2] + 8 * solid[1::2, 1::2]
-        for row, column in zip(*np.nonzero(code), strict=True):
-            self._set(row, column, QUARTERS[code[row, column]], style)
+        self.glyphs[code > 0] = np.array(list(QUARTERS))[code[code > 0]]
+        self.styles[code > 0] = style
 
     def lines(self) -> list[Text]:
         """The rows as texts."""
@@ -105,25 +117,16 @@ class Canvas:
     def _inside(self, row: int, column: int) -> bool:
         return 0 <= row < self.view.rows and 0 <= column < self.view.columns
 
-    def _set(self, row: int, column: int, glyph: str, style: str) -> None:
-        if self._inside(row, column):
-            self.glyphs[row, column], self.styles[row, column] = glyph, style
-
 
 def octant(vector: np.ndarray) -> int:
-    """Index of the one of eight arrows that is nearest to a vector (2,)."""
+    """Index of the nearest of eight arrows to a vector (2,)."""
     return int(np.round(np.arctan2(vector[1], vector[0]) / (np.pi / 4))) % 8
 
 
 def styled(pieces: Iterable[tuple[str, str]]) -> Text:
-    """One text from (glyphs, style) pairs; neighbours of the same style are joined."""
-    text, run, last = Text(no_wrap=True), "", ""
-    for glyphs, style in pieces:
-        if style != last:
-            text.append(run, last)
-            run, last = "", style
-        run += glyphs
-    return text.append(run, last)
+    """One text from (glyphs, style) pairs; neighbours of the same style are joined, which is faster to print."""
+    runs = groupby(pieces, key=lambda piece: piece[1])
+    return Text.assemble(*(("".join(glyphs for glyphs, _ in run), style) for style, run in runs), no_wrap=True)
 
 
 def fitted(text: Text, width: int, right: Text | None = None) -> Text:
@@ -135,12 +138,18 @@ def fitted(text: Text, width: int, right: Text | None = None) -> Text:
     return text
 
 
-def tidy(words: str) -> str:
-    """`words` with "?" for each character that a terminal does not show in one column."""
-    return "".join(c if c.isprintable() and cell_len(c) == 1 else "?" for c in words)
+def first_fitting(wordings: Sequence[str], width: int) -> str:
+    """The first of the wordings that fits into `width` columns, or the last one if none does."""
+    return next((words for words in wordings if cell_len(words) <= width), wordings[-1])
+
+
+def shortened(words: str, gap: str = " · ") -> list[str]:
+    """`words`, then `words` without its last part, its last two parts, and so on; `gap` separates the parts."""
+    parts = words.split(gap)
+    return [gap.join(parts[:count]) for count in range(len(parts), 0, -1)]
 
 
 def to_ascii(text: Text) -> Text:
-    """`text` in seven bits, glyph by glyph, with its styles."""
+    """`text` in 7-bit characters, glyph by glyph, with its styles."""
     plain = text.plain.translate(_ASCII).encode("ascii", "replace").decode("ascii")
     return Text(plain, spans=list(text.spans), no_wrap=True)

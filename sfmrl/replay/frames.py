@@ -1,29 +1,29 @@
 """Put frames together: the plane, its panel or a few facts, and the timeline, in any size, for one policy or two.
 
-All frames of an episode share one view, which shows every position, start and goal. A frame below 60 x 16 has no panel,
-below 20 x 8 it is the plane alone. Two policies in the same episode stand side by side, at the same time and scale:
-with both panels from 161 columns on, with facts below the planes from 61 on, else one above the other.
+All frames of an episode share one view, which shows every position and goal. A frame below 60 x 16 has no panel, below
+20 x 8 it is the plane alone. Two policies in the same episode stand side by side, at the same time and scale: with both
+panels from 161 columns on, with facts below the planes from 61 on, else one above the other.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from rich.cells import cell_len
 from rich.text import Text
 
 from sfmrl.geometry import direction
-from sfmrl.replay.canvas import DIM, GOAL, PERSON, ROBOT, SQUARE, Canvas, View, fit_view, fitted, styled, tidy, to_ascii
+from sfmrl.replay.canvas import MARGIN, Canvas, Style, View, fit_view, fitted, row_height, shortened, span, to_ascii
 from sfmrl.replay.panel import facts_lines, panel_lines
 from sfmrl.replay.plane import bordered, draw_moment, draw_scene
 from sfmrl.replay.story import Story, scene_name
 from sfmrl.replay.timeline import sentence, timeline
 from sfmrl.scenes import Scenes
 
-SIDE_BY_SIDE_COLUMNS = 61  # from which two policies stand side by side, else one above the other
-TWO_PANELS_COLUMNS = 161  # ... and from which each has a panel
-STACKED_LINES = 16  # at least, for two policies one above the other
-PANEL_COLUMNS = (32, 44)  # of a panel beside the plane, at least and at most
-PANEL_LINES = 9  # lines below a plane from which they hold a panel instead of facts
-UNBOUNDED = 1_000_000  # rows or columns: the other dimension alone decides the scale
+SIDE_BY_SIDE_COLUMNS = 61  # least columns for two policies side by side; else one stands above the other
+TWO_PANELS_COLUMNS = 161  # least columns for two policies side by side, each with a panel
+STACKED_LINES = 16  # least lines for two policies one above the other
+PANEL_COLUMNS = (32, 44)  # least and most columns of a panel beside the plane
+PANEL_LINES = 9  # least lines below a plane for a panel; fewer lines show a few facts
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Replay:
 
     @property
     def last(self) -> int:
-        """The last moment; the first is 0."""
+        """The last moment."""
         return max(story.last for story in self.stories)
 
     @property
@@ -63,12 +63,14 @@ class Replay:
     @property
     def title(self) -> str:
         """Policies, environment and episode in a line."""
-        words = _title(" and ".join(filter(None, self.labels)), self.stories[0])
+        words = _titles(" and ".join(filter(None, self.labels)), self.stories[0])[0]
         return to_ascii(Text(words)).plain if self.ascii_only else words
 
     def frame(self, t: int, width: int = 80, height: int = 24) -> Frame:
         """The picture at moment `t`, of at most `width` columns and `height` lines."""
-        points = np.concatenate([part for s in self.stories for part in (s.position.reshape(-1, 2), s.start, s.goal)])
+        points = np.concatenate(
+            [part.reshape(-1, 2) for story in self.stories for part in (story.position, story.goal)]
+        )
         facts = 2 if all(story.attention is None for story in self.stories) else 3  # lines, at least
         if len(self.stories) == 1:
             lines = self._draw(0, t, _lay_out(width, height, points), width)
@@ -76,13 +78,11 @@ class Replay:
             lines = self._draw(0, t, _lay_out_wide(width, -(-height // 2), points, facts), width)
             lines += self._draw(1, t, _lay_out_wide(width, height - len(lines), points, facts), width)
         else:
-            half = (width - 1) // 2
-            layout = _lay_out_wide(half, height, points, facts)
-            if width >= TWO_PANELS_COLUMNS:
-                layout = _lay_out(half, height, points)
+            half, panels = (width - 1) // 2, width >= TWO_PANELS_COLUMNS
+            layout = _lay_out(half, height, points) if panels else _lay_out_wide(half, height, points, facts)
             both = (self._draw(k, t, layout, half) for k in (0, 1))
             lines = [Text.assemble(fitted(a, half), " ", fitted(b, half)) for a, b in zip(*both, strict=True)]
-        return Frame(_joined(lines, width, height, self.ascii_only), min(t, self.last) * self.time_step)
+        return Frame(_joined(lines[:height], self.ascii_only), min(t, self.last) * self.time_step)
 
     def frames(
         self, width: int = 80, height: int = 24, count: int | None = None, at: float | None = None
@@ -100,10 +100,10 @@ class Replay:
         lines = draw_moment(story, t, layout.view, people_trails=not self.ascii_only).lines()
         if not layout.bordered:
             return lines
-        title = _title(self.labels[k], story)
-        if not (layout.beside or layout.below):  # neither a panel nor facts tell the time
-            title = f"{story.time[t]:.2f} s · {title}"
-        lines = bordered(lines, title, layout.view)
+        titles = _titles(self.labels[k], story)
+        if not (layout.beside or layout.below):  # neither a panel nor facts show the time
+            titles = [*(f"{story.time[t]:.2f} s · {words}" for words in titles), titles[-1]]
+        lines = bordered(lines, titles, layout.view)
         if layout.beside:
             panel = panel_lines(story, t, len(lines), layout.beside)
             lines = [Text.assemble(line, " ", beside) for line, beside in zip(lines, panel, strict=True)]
@@ -123,7 +123,7 @@ class _Layout:
     """The view of the plane, whether it has a border, columns of a panel beside it, lines of numbers below it."""
 
     view: View
-    bordered: bool
+    bordered: bool = True
     beside: int = 0
     below: int = 0
 
@@ -136,61 +136,62 @@ def _lay_out(width: int, height: int, points: np.ndarray, panel: bool = True) ->
     if width < 20 or height < 8:
         return _Layout(fit_view(points, max(height, 1), max(width, 1)), bordered=False)
     rows = height - 4  # border, timeline and sentence
-    row = fit_view(points, rows, UNBOUNDED).row  # m
-    wanted = max(int(np.ceil(2 * (_span(points)[0] + 0.3) / row)), 2 * rows)  # columns
+    wanted = 2 * (span(points)[0] + 2 * MARGIN) / row_height(points, rows)
+    wanted = max(int(np.ceil(wanted)), 2 * rows)  # columns
     columns, beside = width - 2, 0
     if panel and width >= 60 and height >= 16:
         beside = int(np.clip(width - 3 - 1.1 * wanted, *PANEL_COLUMNS))
         columns = width - 3 - beside
-    return _Layout(fit_view(points, rows, min(columns, int(1.3 * wanted))), bordered=True, beside=beside)
+    return _Layout(fit_view(points, rows, min(columns, int(1.3 * wanted))), beside=beside)
 
 
 def _lay_out_wide(width: int, height: int, points: np.ndarray, facts: int) -> _Layout:
-    """The layout with the plane in full width, and numbers in the lines that it leaves.
-
-    These are at least `facts` if there are enough for the plane.
-    """
-    needed = _span(points)[1] / fit_view(points, UNBOUNDED, max(width - 2, 1)).row  # rows of the plane
+    """The layout with the plane in full width, and below it at least `facts` lines of numbers if the plane has room."""
+    if width < 20 or height < 8:
+        return _lay_out(width, height, points)
+    needed = span(points)[1] / row_height(points, columns=width - 2)  # rows of the plane
     most = max(height - 12, 0)
     below = int(np.clip(height - 5 - needed, min(facts, most), most))
-    layout = _lay_out(width, height - below, points, panel=False)
-    if not layout.bordered:
-        return layout
-    return _Layout(fit_view(points, layout.view.rows, width - 2), bordered=True, below=below)
+    return _Layout(fit_view(points, height - below - 4, width - 2), below=below)
 
 
-def _span(points: np.ndarray) -> np.ndarray:
-    """Width and height (2,) of what the finite ones of points (n, 2) cover."""
-    return np.ptp(points[np.isfinite(points).all(-1)], axis=0)
+def _titles(label: str, story: Story) -> list[str]:
+    """Wordings of a title, from the longest to the shortest."""
+    label = "".join(c if c.isprintable() and cell_len(c) == 1 else "?" for c in label)
+    return shortened(f"{label} · {story.name}" if label else story.name)
 
 
-def _title(label: str, story: Story) -> str:
-    return f"{tidy(label)} · {story.name}" if label else story.name
-
-
-def _joined(lines: list[Text], width: int, height: int, ascii_only: bool) -> Text:
-    """Lines as one text, cut to the size."""
-    cut = [fitted(line, min(width, line.cell_len)) for line in lines[:height]]
-    text = Text("\n", no_wrap=True, overflow="crop").join(cut)
+def _joined(lines: list[Text], ascii_only: bool) -> Text:
+    text = Text("\n", no_wrap=True, overflow="crop").join(lines)
     return to_ascii(text) if ascii_only else text
 
 
 def scene_picture(
     scenes: Scenes, episode: int = 0, *, width: int = 80, height: int = 24, ascii_only: bool = False
 ) -> Text:
-    """The scene in row `episode` before the first step: starts, goals, and the way from the ones to the others."""
+    """The scene in row `episode` before the first step: starts, goals, and headings from start to goal."""
     start, goal, square = scenes.start[episode], scenes.goal[episode], scenes.square[episode]
     # A line of legend takes the place of the two below a replay's plane.
     layout = _lay_out(width, max(height - 3, 1) + 4, np.concatenate((start, goal)), panel=False)
     heading = np.where(square[:, None], 0.0, direction(goal - start))
     canvas = Canvas(layout.view)
     for person in np.flatnonzero(~square)[1:]:
-        canvas.put(goal[person], "x", DIM)
+        canvas.put(goal[person], "x", Style.DIM)
     draw_scene(canvas, start, heading, goal[0], scenes.radius[episode], square, marked={}, push=np.zeros(2))
     lines = canvas.lines()
     if layout.bordered:
-        lines = bordered(lines, scene_name(scenes.environment[episode], scenes.episode[episode]), layout.view)
-        legend = (("@", ROBOT), (" robot  ", ""), ("★", GOAL), (" its goal  ", ""))
-        legend += ((" 1→", PERSON), (" person and heading  ", ""), ("x", DIM), (" a person's goal  ", ""))
-        lines.append(styled((*legend, ("█", SQUARE), (" square", ""))))
-    return _joined(lines, width, height, ascii_only)
+        titles = shortened(scene_name(scenes.environment[episode], scenes.episode[episode]))
+        lines = [*bordered(lines, titles, layout.view), _scene_legend(width)]
+    return _joined(lines[:height], ascii_only)
+
+
+def _scene_legend(width: int) -> Text:
+    """The glyphs of a scene's picture, with as many words as fit into `width` columns."""
+    glyphs = (("@", Style.ROBOT), ("★", Style.GOAL), (" 1→", Style.PERSON), ("x", Style.DIM), ("█", Style.SQUARE))
+    words = ("robot", "its goal", "person and heading", "a person's goal", "square")
+    fewer = ("robot", "goal", "person", "", "square")
+    legends = []
+    for names in (words, *(fewer[:count] for count in range(len(fewer), 0, -1))):
+        entries = (Text.assemble(glyph, f" {name}") for glyph, name in zip(glyphs, names, strict=False) if name)
+        legends.append(Text("  ").join(entries))
+    return next(legend for legend in legends if legend.cell_len <= width)

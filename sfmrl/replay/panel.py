@@ -1,13 +1,13 @@
 """The numbers beside the plane: elements by attention, values of the actions, repulsion on the robot, reward.
 
-All of it is text of a given size from the arrays of a story. What a policy does not have is left out.
+All functions return texts of a given size. Parts that a policy does not have are left out.
 """
 
 import numpy as np
 from rich.text import Text
 
 from sfmrl.geometry import length
-from sfmrl.replay.canvas import DIM, FORCE, FORCE_ARROWS, MOST_ATTENTION, ROBOT, fitted, octant, styled
+from sfmrl.replay.canvas import FORCE_ARROWS, Style, fitted, octant, styled
 from sfmrl.replay.story import Story, glyph_of
 from sfmrl.replay.timeline import OUTCOMES
 from sfmrl.sfm import resultant
@@ -15,7 +15,7 @@ from sfmrl.sfm import resultant
 EIGHTHS = " ▏▎▍▌▋▊▉"
 SHADES = "·░▒▓█"  # a fifth of the actions each, the worst first
 SHADE_STYLES = ("grey42", "color(24)", "color(31)", "color(38)", "color(45)")
-DISC_CELLS = (*zip(SHADES, SHADE_STYLES, strict=True), (" ", ""), ("o", f"{ROBOT} reverse"))
+DISC_CELLS = (*zip(SHADES, SHADE_STYLES, strict=True), (" ", ""), ("o", f"{Style.ROBOT} reverse"))
 OUTSIDE, TAKEN = len(SHADES), len(SHADES) + 1  # the last two of these: outside the disc, the action that was taken
 DISC_ROWS = (13, 11, 9, 7)  # sizes of the disc of actions
 DISC_WORDS = 17  # columns beside it
@@ -29,7 +29,8 @@ def panel_lines(story: Story, t: int, rows: int, columns: int) -> list[Text]:
     account = _account(story, t, columns, terms, repulsions)
     disc = [Text(), *_actions(story, t, disc_rows, columns)] if disc_rows else []
     table = _elements(story, t, rows - 2 - len(account) - len(disc), columns)
-    top = [_clock(story, t, columns), *table, *disc][: rows - len(account)]
+    speed = Text.assemble(("speed ", Style.DIM), (f"{length(story.velocity[t, 0]):.2f} m/s", Style.ROBOT))
+    top = [_clock(story, t, columns, speed), *table, *disc][: rows - len(account)]
     lines = [*top, *[Text()] * (rows - len(top) - len(account)), *account]
     return [fitted(line, columns) for line in lines[:rows]]
 
@@ -37,8 +38,8 @@ def panel_lines(story: Story, t: int, rows: int, columns: int) -> list[Text]:
 def _share_lines(story: Story, t: int, rows: int, columns: int) -> tuple[int, int, int]:
     """Lines of a panel for the disc of actions, for terms of the reward, and for repulsions of single elements.
 
-    The elements get the lines that these leave. Each part wants a number of lines and gets them in turn while there are
-    any: first the disc in its smallest size, then the elements, all terms, the repulsions, then the disc again.
+    The elements get the lines that remain. Parts get the lines they want in turn: first the disc in its smallest size,
+    then the elements, all terms, the repulsions, then larger sizes of the disc.
     """
     present = int(np.isfinite(story.gap[t]).sum())
     terms = len(story.terms) if len(story.terms) > 1 else 0  # a single one is the reward itself
@@ -52,21 +53,18 @@ def _share_lines(story: Story, t: int, rows: int, columns: int) -> tuple[int, in
         terms - first_terms,
         0 if _table_has_repulsions(story, columns) else min(present, LISTED_REPULSIONS),
     )
-    granted = []
-    for lines in wanted:
-        granted.append(min(lines, max(free, 0)))
-        free -= granted[-1]
-    disc_rows = next(size for size in sizes if size <= smallest + free) if smallest else 0
+    granted = np.diff(np.cumsum(wanted).clip(0, max(free, 0)), prepend=0).tolist()
+    disc_rows = next(size for size in sizes if size <= smallest + free - sum(granted)) if smallest else 0
     return disc_rows, first_terms + granted[2], granted[3]
 
 
 def facts_lines(story: Story, t: int, rows: int, columns: int) -> list[Text]:
     """The most important facts at moment `t`, in place of a panel: exactly `rows` texts of `columns` columns."""
-    clock = _clock(story, t, columns) if t == story.last else fitted(_time(story, t), columns, _gap(story, t))
-    push = Text.assemble(("repulsion ", DIM), _force(resultant(story.force[t])))
-    lines = [clock, fitted(push, columns, Text.assemble(("return ", DIM), _signed(story.returns[t])))]
+    push = Text.assemble(("repulsion ", Style.DIM), _force(resultant(story.force[t])))
+    paid = Text.assemble(("return ", Style.DIM), _signed(story.returns[t]))
+    lines = [_clock(story, t, columns, _gap(story, t)), fitted(push, columns, paid)]
     if story.attention is not None:
-        shares = Text.assemble(("attention", DIM))
+        shares = Text.assemble(("attention", Style.DIM))
         for element in _order(story, t):
             share = Text(f" {_label(story, element)} {story.attention[t, element]:.0%}")
             if shares.cell_len + share.cell_len <= columns:
@@ -76,15 +74,12 @@ def facts_lines(story: Story, t: int, rows: int, columns: int) -> list[Text]:
     return [fitted(line, columns) for line in lines[:rows]]
 
 
-def _time(story: Story, t: int) -> Text:
-    return Text(f"t {story.time[t]:5.2f} s", "bold")
-
-
-def _clock(story: Story, t: int, columns: int) -> Text:
-    """The time, with the robot's speed or, at the end, the outcome."""
-    mark, style, words = OUTCOMES[story.outcome]
-    speed = Text.assemble(("speed ", DIM), (f"{length(story.velocity[t, 0]):.2f} m/s", ROBOT))
-    return fitted(_time(story, t), columns, Text(f"{mark} {words}", style) if t == story.last else speed)
+def _clock(story: Story, t: int, columns: int, right: Text) -> Text:
+    """The time, and at the right edge the outcome if the episode has ended, else `right`."""
+    if t == story.last:
+        mark, style, words = OUTCOMES[story.outcome]
+        right = Text(f"{mark} {words}", style)
+    return fitted(Text(f"t {story.time[t]:5.2f} s", "bold"), columns, right)
 
 
 def _order(story: Story, t: int) -> np.ndarray:
@@ -101,7 +96,7 @@ def _label(story: Story, element: int) -> str:
 def _force(force: np.ndarray) -> Text:
     """Direction and magnitude of a force (2,)."""
     size = length(np.nan_to_num(force))
-    return Text(f"{FORCE_ARROWS[octant(force)] if size > 1e-3 else '·'} {size:.2f}", FORCE)
+    return Text(f"{FORCE_ARROWS[octant(force)] if size > 1e-3 else '·'} {size:.2f}", Style.FORCE)
 
 
 def _table_has_repulsions(story: Story, columns: int) -> bool:
@@ -110,22 +105,22 @@ def _table_has_repulsions(story: Story, columns: int) -> bool:
 
 
 def _elements(story: Story, t: int, rows: int, columns: int) -> list[Text]:
-    """A heading and at most `rows` elements, in the order of `_order`."""
+    """A heading and at most `rows` elements in the order of `_order`."""
     order, attention = _order(story, t), story.attention
     if not len(order):
-        return [Text("nobody else is here", DIM)]
+        return [Text("nobody else is here", Style.DIM)]
     if rows <= 0:
         return []
     with_repulsions = _table_has_repulsions(story, columns)
-    title = Text("nearest" if attention is None else "attention", DIM)
-    lines = [fitted(title, columns, Text("repulsion     gap" if with_repulsions else "gap", DIM))]
+    title = Text("nearest" if attention is None else "attention", Style.DIM)
+    lines = [fitted(title, columns, Text("repulsion     gap" if with_repulsions else "gap", Style.DIM))]
     for element in order[:rows]:
         left = Text(f"{_label(story, element):>2} ", "bold")
         right = Text(f" {story.gap[t, element]:5.2f} m")
         if with_repulsions:
             right = Text.assemble(" ", _force(story.force[t, element]), right)
         if attention is not None:
-            share, style = attention[t, element], MOST_ATTENTION if element == order[0] else ""
+            share, style = attention[t, element], Style.MOST_ATTENTION if element == order[0] else ""
             left.append(_bar(share / attention.max(), columns - 9 - right.cell_len), style or "grey58")
             right = Text.assemble((f"{share:4.0%}", style), right)
         lines.append(fitted(left, columns, right))
@@ -134,7 +129,7 @@ def _elements(story: Story, t: int, rows: int, columns: int) -> list[Text]:
 
 def _bar(share: float, columns: int) -> str:
     """A bar of `share` (0 to 1) of the columns, to an eighth of a column."""
-    eighths = round(float(np.clip(share, 0.0, 1.0)) * columns * 8)
+    eighths = round(share * columns * 8)
     return "█" * (eighths // 8) + EIGHTHS[eighths % 8].strip()
 
 
@@ -146,14 +141,14 @@ def _actions(story: Story, t: int, rows: int, columns: int) -> list[Text]:
     taken = int(length(actions - story.velocity[t + 1, 0]).argmin())
     lines = action_disc(actions, values, taken, rows)
     legend = [
-        (f"o  next {values[taken]:7.3f}", ROBOT),
+        (f"o  next {values[taken]:7.3f}", Style.ROBOT),
         (f"{SHADES[-1]}  best {values.max():7.3f}", SHADE_STYLES[-1]),
         (f"   stay {values[length(actions).argmin()]:7.3f}", ""),
-        (f"{SHADES[0]} worst {values.min():7.3f}", DIM),
+        (f"{SHADES[0]} worst {values.min():7.3f}", Style.DIM),
     ]
     for k, (words, style) in enumerate(legend, rows // 2 - 1):
         lines[k] = fitted(lines[k], columns, Text(words, style))
-    return [Text(f"value of the {len(values)} actions", DIM), *lines]
+    return [Text(f"value of the {len(values)} actions", Style.DIM), *lines]
 
 
 def action_disc(actions: np.ndarray, values: np.ndarray, taken: int, rows: int) -> list[Text]:
@@ -180,26 +175,25 @@ def _account(story: Story, t: int, columns: int, terms: int, repulsions: int) ->
     """The repulsion at moment `t`, the smallest gap and the reward of the step that led to it, the return so far.
 
     The strongest repulsions of single elements have `repulsions` lines, the reward's terms `terms` lines; if these are
-    too few for all terms, those that are not zero are shown, and have as many lines as they need.
+    too few for all terms, the terms that are not zero are shown, in as many lines as they need.
     """
-
-    def line(label: str, value: Text) -> Text:
-        return fitted(Text(label, DIM), columns, value)
-
     each = np.nan_to_num(length(story.force[t]))
-    strongest = np.argsort(-each, kind="stable")
+    strongest = np.argsort(-each, kind="stable").tolist()
     push = _force(resultant(story.force[t])) + Text(" m/s²")
     if each.any() and not repulsions:
-        push.append(f", mostly {glyph_of(int(strongest[0]) + 1)}")
-    lines = [line("repulsion", push)]
-    for k in strongest[:repulsions]:
-        lines.append(line(f"  of {story.called(int(k) + 1)}", _force(story.force[t, k]) + Text(" m/s²")))
+        push.append(f", mostly {glyph_of(strongest[0] + 1)}")
     paid = {name: values[t - 1] if t else 0.0 for name, values in story.terms.items()}
-    lines.append(line("smallest gap", _gap(story, t)))
-    lines.append(line("reward of the step", _signed(sum(paid.values())) if t else Text("-")))
     shown = [name for name, value in paid.items() if value or terms == len(paid)] if len(paid) > 1 else []
-    lines += [line(f"  {name}", _signed(paid[name])) for name in shown] + [Text()] * (terms - len(shown))
-    return [*lines, line("return so far", _signed(story.returns[t]))]
+    rows = [
+        ("repulsion", push),
+        *((f"  of {story.called(k + 1)}", _force(story.force[t, k]) + Text(" m/s²")) for k in strongest[:repulsions]),
+        ("smallest gap", _gap(story, t)),
+        ("reward of the step", _signed(sum(paid.values())) if t else Text("-")),
+        *((f"  {name}", _signed(paid[name])) for name in shown),
+        *[("", Text())] * (terms - len(shown)),
+        ("return so far", _signed(story.returns[t])),
+    ]
+    return [fitted(Text(label, Style.DIM), columns, value) for label, value in rows]
 
 
 def _gap(story: Story, t: int) -> Text:
@@ -212,4 +206,4 @@ def _gap(story: Story, t: int) -> Text:
 def _signed(number: float) -> Text:
     """A number with its sign and four decimals; zero is never "-0.0000"."""
     value = round(float(number), 4) + 0.0
-    return Text(f"{value:+.4f}", "bold" if value else DIM)
+    return Text(f"{value:+.4f}", "bold" if value else Style.DIM)

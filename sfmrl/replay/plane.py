@@ -1,29 +1,16 @@
-"""Draw the scene from above: where everybody is and has been, where they are heading, and the force on the robot.
+"""Draw the scene from above: positions, trails and velocities of the robot and people, and the force on the robot.
 
 Velocities are single arrows, the resultant of the repulsive forces is a double one. If the scale is large enough to
 draw discs as rings, the length of an arrow shows the magnitude; otherwise an arrow is one glyph beside its disc.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from rich.text import Text
 
 from sfmrl.geometry import direction, length
-from sfmrl.replay.canvas import (
-    DANGER,
-    DIM,
-    FORCE,
-    FORCE_ARROWS,
-    GOAL,
-    MOST_ATTENTION,
-    NEIGHBOURS,
-    PERSON,
-    ROBOT,
-    SQUARE,
-    VELOCITY_ARROWS,
-    Canvas,
-    View,
-    octant,
-)
+from sfmrl.replay.canvas import FORCE_ARROWS, NEIGHBOURS, VELOCITY_ARROWS, Canvas, Style, View, first_fitting, octant
 from sfmrl.replay.story import Story, glyph_of
 from sfmrl.sfm import resultant
 
@@ -37,27 +24,25 @@ ARROW_RANGE = (0.05, 2.0)  # m/s or m/s^2: no arrow for less, no longer arrow fo
 
 def draw_moment(story: Story, t: int, view: View, people_trails: bool) -> Canvas:
     """The scene at moment `t` with the robot's trail and, if `people_trails`, those of people."""
-    canvas = Canvas(view)
-    people = ~story.square
-    people[0] = False
+    canvas, position = Canvas(view), story.position
     if people_trails:
-        trail = story.position[max(t - TRAIL_MOMENTS, 0) : t, people]
-        outside = length(trail - story.position[t, people]) > story.radius[people]  # of the person's own disc
-        canvas.dots(trail[outside], DIM)
+        people = np.flatnonzero(~story.square)[1:]
+        trail = position[max(t - TRAIL_MOMENTS, 0) : t, people]
+        outside = length(trail - position[t, people]) > story.radius[people]  # of the person's own disc
+        canvas.dots(trail[outside], Style.DIM)
     share = np.arange(TRAIL_POINTS)[:, None, None] / TRAIL_POINTS
-    trail = (1 - share) * story.position[:t, 0] + share * story.position[1 : t + 1, 0]  # (TRAIL_POINTS, t, 2)
-    canvas.dots(trail[length(trail - story.position[t, 0]) > story.radius[0]], ROBOT)
-    marked = {} if story.attention is None else {1 + story.attention[t].argmax(): MOST_ATTENTION}
+    trail = (1 - share) * position[:t, 0] + share * position[1 : t + 1, 0]  # (TRAIL_POINTS, t, 2)
+    canvas.dots(trail[length(trail - position[t, 0]) > story.radius[0]], Style.ROBOT)
+    marked = {} if story.attention is None else {1 + story.attention[t].argmax(): Style.MOST_ATTENTION}
     hit = story.hit if t == story.last else ()
     if len(hit):
-        marked |= dict.fromkeys((0, *hit), DANGER)
+        marked |= dict.fromkeys((0, *hit), Style.DANGER)
     push = resultant(story.force[t])
-    draw_scene(canvas, story.position[t], story.velocity[t], story.goal[0], story.radius, story.square, marked, push)
+    draw_scene(canvas, position[t], story.velocity[t], story.goal[0], story.radius, story.square, marked, push)
     for row in hit:
-        robot, element = story.position[t, [0, row]]
-        canvas.put((robot + element) / 2, "X", DANGER)
-        canvas.put(element, glyph_of(row), f"{DANGER} reverse" if story.square[row] else DANGER)
-        canvas.put(robot, "@", DANGER)
+        canvas.put(position[t, [0, row]].mean(0), "X", Style.DANGER)
+        canvas.put(position[t, row], glyph_of(row), f"{Style.DANGER} reverse" if story.square[row] else Style.DANGER)
+        canvas.put(position[t, 0], "@", Style.DANGER)
     return canvas
 
 
@@ -67,21 +52,22 @@ def draw_scene(canvas: Canvas, position, velocity, goal, radius, square, marked:
     `position` and `velocity` (N, 2) in m and m/s, `goal` (2,) the robot's, `radius` (N,) in m, `square` (N,) bool;
     `marked` has styles for some of the rows, `push` (2,) is the force on the robot in m/s^2.
     """
-    canvas.squares(position[square], radius[square], SQUARE)
+    canvas.squares(position[square], radius[square], Style.SQUARE)
     for row in np.flatnonzero(square):
-        canvas.put(position[row], glyph_of(row), f"{marked.get(row, SQUARE)} reverse")
-    canvas.put(goal, "★", GOAL)
+        canvas.put(position[row], glyph_of(row), f"{marked.get(row, Style.SQUARE)} reverse")
+    canvas.put(goal, "★", Style.GOAL)
     discs = np.flatnonzero(~square)[::-1]  # the robot last, above all
     for row in discs[radius[discs] >= RING_ROWS * canvas.view.row]:
-        canvas.dots(position[row] + radius[row] * UNIT_RING, marked.get(row, DIM if row else ROBOT))
+        canvas.dots(position[row] + radius[row] * UNIT_RING, marked.get(row, Style.DIM if row else Style.ROBOT))
     # Where both arrows of the robot would share a cell, the force takes the next one.
     same_cell = octant(push) == octant(velocity[0]) and length(velocity[0]) > ARROW_RANGE[0]
-    _draw_arrow(canvas, position[0], push, radius[0], FORCE_ARROWS, FORCE, 2 if same_cell else 1)
+    _draw_arrow(canvas, position[0], push, radius[0], FORCE_ARROWS, Style.FORCE, 2 if same_cell else 1)
     for row in discs:
-        style = marked.get(row, "" if row else ROBOT)
+        style = marked.get(row, "" if row else Style.ROBOT)
         _draw_arrow(canvas, position[row], velocity[row], radius[row], VELOCITY_ARROWS, style)
     for row in discs:
-        canvas.put(position[row], glyph_of(row) if row else "@", marked.get(row, PERSON if row else ROBOT))
+        style = marked.get(row, Style.PERSON if row else Style.ROBOT)
+        canvas.put(position[row], glyph_of(row) if row else "@", style)
 
 
 def _draw_arrow(canvas: Canvas, place, vector, radius: float, glyphs: str, style: str, cells: int = 1) -> None:
@@ -89,21 +75,22 @@ def _draw_arrow(canvas: Canvas, place, vector, radius: float, glyphs: str, style
     size = min(length(vector), ARROW_RANGE[1])
     if not size > ARROW_RANGE[0]:  # NaN, too
         return
+    head = glyphs[octant(vector)]
     if radius < RING_ROWS * canvas.view.row:
-        canvas.put(place, glyphs[octant(vector)], style, cells * NEIGHBOURS[octant(vector)])
+        canvas.put(place, head, style, cells * NEIGHBOURS[octant(vector)])
         return
     along = radius + ARROW_METRES * size * np.linspace(0.0, 1.0, 16)[:, None]
     points = place + along * direction(vector)
     canvas.dots(points, style)
-    canvas.put(points[-1], glyphs[octant(vector)], style)
+    canvas.put(points[-1], head, style)
 
 
-def bordered(lines: list[Text], title: str, view: View) -> list[Text]:
-    """The lines of a plane in a border, with the title in its upper edge and the length of 1 m in its lower."""
+def bordered(lines: list[Text], titles: Sequence[str], view: View) -> list[Text]:
+    """The lines of a plane in a border, with the first of the `titles` that fits and the length of 1 m."""
     metre = max(round(2 / view.row), 1)  # columns
     scale = f" 1 m ├{'─' * (metre - 2)}┤ " if 2 <= metre <= view.columns - 12 else ""
-    head = Text(f" {title} ", "bold")
+    head = Text(f" {first_fitting(titles, view.columns - 4)} ", "bold")
     head.truncate(view.columns - 2, overflow="ellipsis")
-    upper = Text.assemble(("╭─", DIM), head, ("─" * (view.columns - 1 - head.cell_len) + "╮", DIM))
-    lower = Text.assemble(("╰" + scale.rjust(view.columns - 1, "─") + "─╯", DIM))
-    return [upper, *[Text.assemble(("│", DIM), line, ("│", DIM)) for line in lines], lower]
+    upper = Text.assemble(("╭─", Style.DIM), head, ("─" * (view.columns - 1 - head.cell_len) + "╮", Style.DIM))
+    lower = Text.assemble(("╰" + scale.rjust(view.columns - 1, "─") + "─╯", Style.DIM))
+    return [upper, *[Text.assemble(("│", Style.DIM), line, ("│", Style.DIM)) for line in lines], lower]

@@ -12,9 +12,9 @@ from rich.text import Text
 
 from sfmrl.replay.frames import Frame
 
-LAST_FRAME_SECONDS = 2.0  # s that a recording goes on after its last frame
-# Rich's template without the typeface that it would fetch: fonts that readers have, in the size at which the first
-# one's block characters fill Rich's lines of 24.4 px; the columns' width follows from that font's aspect ratio.
+LAST_FRAME_SECONDS = 2.0  # s for which a recording shows its last frame
+# Rich's template, but with fonts that readers have instead of one to download. At this size, block characters of the
+# first font fill Rich's lines of 24.4 px; the width of a column follows from the font's aspect ratio.
 FONT_SIZE, FONT_ASPECT = 20.95, 0.6305
 SVG = """\
 <svg viewBox="0 0 {width} {height}" xmlns="http://www.w3.org/2000/svg">
@@ -54,7 +54,7 @@ def to_cast(frames: Sequence[Frame], title: str, speed: float = 1.0, colour: boo
     for frame in frames:
         with console.capture() as drawn:
             console.print(frame.text if colour else Text(frame.plain), end="")
-        clear = "\x1b[?25l\x1b[2J\x1b[1;1H"  # hides the cursor, too
+        clear = "\x1b[?25l\x1b[2J\x1b[1;1H"  # hides the cursor, empties the screen, goes to its upper left corner
         lines.append([frame.time / speed, "o", clear + drawn.get().replace("\n", "\r\n")])
     lines.append([frames[-1].time / speed + LAST_FRAME_SECONDS, "o", f"\x1b[{rows};1H\x1b[?25h"])
     ascii_only = all(frame.plain.isascii() for frame in frames)
@@ -62,14 +62,13 @@ def to_cast(frames: Sequence[Frame], title: str, speed: float = 1.0, colour: boo
 
 
 def _console(columns: int, **options) -> Console:
-    """A console that writes to nowhere and reads no environment variables."""
+    """A console that keeps its output in memory and reads no environment variables."""
     return Console(
         file=io.StringIO(),
         width=columns,
         force_terminal=True,
         color_system="256",
         legacy_windows=False,
-        highlight=False,
         _environ={},
         **options,
     )

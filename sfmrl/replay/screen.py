@@ -1,8 +1,8 @@
 """Play pictures in a terminal in real time, with keys to pause, step and change the speed.
 
 The effect of a key is a pure function of the player. The display is Rich's, on the terminal's alternate screen; keys
-are read one at a time if standard input is a terminal and the system has termios. A terminal that is resized is drawn
-anew. The terminal is restored however playback ends, by a key or by a signal.
+are read one at a time if standard input is a terminal and the system has termios. A picture is drawn again when the
+terminal is resized. The terminal is restored however playback ends, by a key or by a signal.
 """
 
 import os
@@ -17,28 +17,33 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from sfmrl.replay.canvas import DIM, fitted, to_ascii
+from sfmrl.replay.canvas import Style, first_fitting, fitted, shortened, to_ascii
+from sfmrl.replay.legend import with_legend
 
 SPEEDS = (0.01, 64.0)  # times real time, the slowest and the fastest
 LONGEST_WAIT = 0.2  # s between two checks whether the terminal was resized
 STEP_KEYS = {",": -1, "\x1b[D": -1, ".": 1, "\x1b[C": 1}  # comma and full stop, or the arrow keys
-LEGEND = " space pause   , . step   + - speed   q quit"
+HINTS = "? legend  q quit  space pause  , . step  + - speed"  # the most important ones first
 
 
 @dataclass(frozen=True)
 class Player:
-    """Which of the moments 0 to `last` is shown, whether it is playing, and how fast, in times real time."""
+    """Which of the moments 0 to `last` is shown, whether it is playing, and how fast, in times real time.
+
+    While the `legend` is shown, playback waits.
+    """
 
     last: int
     moment: int = 0
     playing: bool = True
     speed: float = 1.0
+    legend: bool = False
 
     @property
     def status(self) -> str:
         """State and speed in words."""
-        state = "" if self.playing else "the end   " if self.moment == self.last else "paused   "
-        return f"{state}x{self.speed:g} "
+        state = "" if self.playing else "the end " if self.moment == self.last else "paused "
+        return f"{state}x{self.speed:g}"
 
     def step(self, by: int) -> "Player":
         """The player `by` moments later, within the episode; it stops at the end."""
@@ -47,6 +52,8 @@ class Player:
 
     def press(self, key: str) -> "Player | None":
         """The player after a key, None after a key that quits. Space at the end starts again."""
+        if self.legend or key == "?":
+            return replace(self, legend=not self.legend)  # any key closes it
         if key in ("q", "Q", "\x1b", "\x04"):
             return None
         if key == " ":
@@ -79,9 +86,9 @@ def play_live(
             due = time.monotonic()
             while player is not None and (player.playing or read):
                 shown, size = player.moment, console.size
-                live.update(_with_legend(picture(), player, console) if read else picture(), refresh=True)
+                live.update(_with_hints(picture(), player, console) if read else picture(), refresh=True)
                 now, step = time.monotonic(), time_step / player.speed
-                due = min(max(due + step, now), now + step)  # drawing takes time, too: wait for the rest alone
+                due = min(max(due + step, now), now + step)  # drawing takes time, too: wait only for the rest
                 player = _after_wait(player, due, read, lambda size=size: console.size == size)
             shown = shown if player is None else player.moment
     finally:
@@ -94,7 +101,7 @@ def _after_wait(player: Player, due: float, read: Callable | None, unchanged: Ca
     It is returned as it is as soon as the terminal is not `unchanged`, so that the same moment is drawn again.
     """
     while unchanged():
-        left = due - time.monotonic() if player.playing else LONGEST_WAIT
+        left = due - time.monotonic() if player.playing and not player.legend else LONGEST_WAIT
         if left <= 0:
             return player.step(1)
         if read is None:
@@ -106,15 +113,20 @@ def _after_wait(player: Player, due: float, read: Callable | None, unchanged: Ca
     return player
 
 
-def _with_legend(picture: Text, player: Player, console: Console) -> Group:
-    """The picture and a line that explains the keys."""
-    legend = fitted(Text(LEGEND, DIM), console.width, Text(player.status, DIM))
-    return Group(picture, to_ascii(legend) if picture.plain.isascii() else legend)
+def _with_hints(picture: Text, player: Player, console: Console) -> Group:
+    """The picture, under the legend if that is shown, and a line that names as many keys as fit."""
+    columns, ascii_only = console.width, picture.plain.isascii()
+    status = Text(player.status, Style.DIM)
+    words = first_fitting(shortened(HINTS, "  "), columns - status.cell_len - 2)
+    if player.legend:
+        picture, words = with_legend(picture, columns, max(console.height - 1, 1)), "any key closes the legend"
+    shown = picture, fitted(Text(f" {words}", Style.DIM), columns, status)
+    return Group(*map(to_ascii, shown) if ascii_only else shown)
 
 
 @contextmanager
 def _keyboard() -> Iterator[Callable[[float], list[str]] | None]:
-    """A function that waits at most some seconds for keys and returns them; None without a keyboard."""
+    """A function that waits for keys, at most some seconds, and returns them; None without a keyboard."""
     try:
         import select
         import termios

@@ -2,10 +2,11 @@
 
 An episode of T steps has T + 1 moments; step t leads from moment t to moment t + 1. The reward, separations and events
 of a moment are those of the step that led to it; its action values are those of the step that starts there, as the
-policy noted them in play. Attention is computed here, for all moments at once, since the last has it too.
+policy noted them in play. Attention is computed here, for all moments at once, because the last moment needs it, too.
 """
 
 from dataclasses import dataclass, replace
+from string import ascii_letters, digits
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from sfmrl.rewards import RUNNING, reward_terms, total
 from sfmrl.sfm import repulsive_forces
 from sfmrl.world import World, reset
 
-ELEMENT_GLYPHS = "123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
+ELEMENT_GLYPHS = digits[1:] + ascii_letters
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,6 @@ class Story:
     time_limit: float  # s
     position: np.ndarray  # (T + 1, N, 2) m
     velocity: np.ndarray  # (T + 1, N, 2) m/s
-    start: np.ndarray  # (N, 2) m
     goal: np.ndarray  # (N, 2) m
     radius: np.ndarray  # (N,) m; half a square's side
     square: np.ndarray  # (N,) bool
@@ -38,7 +38,6 @@ class Story:
     terms: dict[str, np.ndarray]  # terms of the reward by name, (T,) each
     returns: np.ndarray  # (T + 1,) discounted sum of the rewards up to the moment
     outcome: str  # "success", "collision" or "timeout"
-    goal_distance: float  # m, at the end
     close: tuple[tuple[int, int], ...]  # first and last moment of each stretch in which the robot is too close
     attention: np.ndarray | None  # (T + 1, K); None for a policy without attention
     look: Lookahead | None  # of the T steps; None for a policy that does not look ahead
@@ -52,7 +51,7 @@ class Story:
     @property
     def hit(self) -> np.ndarray:
         """Rows of the elements that the robot collided with; empty without a collision."""
-        return 1 + np.flatnonzero(self.separations[-1] < 0) if self.outcome == "collision" else np.zeros(0, dtype=int)
+        return 1 + np.flatnonzero((self.separations[-1] < 0) & (self.outcome == "collision"))
 
     def called(self, row: int) -> str:
         """An element's name: "person 3", "square 8"."""
@@ -71,10 +70,9 @@ def scene_name(environment: str, episode: int) -> str:
 
 
 def make_story(record: Record, row: int, policy: Policy, reward: Reward, discount: float) -> Story:
-    """The story of the episode in one row of a record that `policy` played, judged by `reward`.
+    """The story of the episode in one row of a record of `policy`; returns have the `discount` per second at 1 m/s.
 
-    Attention, values and where the robot was stuck are there if the record has notes (`play_episodes(keep=True)`).
-    `discount` is per second at 1 m/s; the returns are discounted with it.
+    It has attention, values and stuck steps if the record has notes (`play_episodes(keep=True)`).
     """
     record = record.take(np.array([row]))
     scenes, steps = record.scenes, int(record.steps[0])
@@ -83,14 +81,14 @@ def make_story(record: Record, row: int, policy: Policy, reward: Reward, discoun
     terms = reward_terms(reward)(step)
     factors = step_discount(discount, scenes.v_pref[0, 0], record.simulation) ** np.arange(steps)
     close = (step.outcome == RUNNING) & (step.separation < reward.discomfort_distance)
-    look, stuck = _noted(record)
+    notes = {name: array[0, :steps] for name, array in record.notes.items()}
+    looks = "values" in notes and len(scenes.radius[0]) > 1
     return Story(
         name=scene_name(scenes.environment[0], scenes.episode[0]),
         time=moments.time,
         time_limit=max(record.simulation.time_limit, moments.time[-1]),
         position=moments.position,
         velocity=moments.velocity,
-        start=scenes.start[0],
         goal=scenes.goal[0],
         radius=scenes.radius[0],
         square=scenes.square[0],
@@ -100,11 +98,10 @@ def make_story(record: Record, row: int, policy: Policy, reward: Reward, discoun
         terms=terms,
         returns=np.concatenate(([0.0], np.cumsum(total(terms) * factors))),
         outcome=str(record.outcome[0]),
-        goal_distance=float(step.goal_distance[-1]),
-        close=_stretches(np.concatenate(([False], close))),
-        attention=policy.attention(moments) if look else None,
-        look=look,
-        stuck=stuck,
+        close=_stretches(1 + np.flatnonzero(close)),
+        attention=policy.attention(moments) if looks else None,
+        look=Lookahead(notes["actions"], notes["values"], notes["best"]) if looks else None,
+        stuck=notes.get("stuck", np.zeros(steps, dtype=bool)),
     )
 
 
@@ -115,17 +112,7 @@ def _moments(record: Record) -> World:
     return replace(start, position=record.position[0, steps], velocity=record.velocity[0, steps], steps=steps)
 
 
-def _noted(record: Record) -> tuple[Lookahead | None, np.ndarray]:
-    """What the policy noted in a record of one episode: its lookahead, if anybody was there, and where stuck (T,)."""
-    steps = record.steps[0]
-    notes = {name: array[0, :steps] for name, array in record.notes.items()}
-    looked = "values" in notes and record.position.shape[2] > 1
-    look = Lookahead(notes["actions"], notes["values"], notes["best"]) if looked else None
-    return look, notes.get("stuck", np.zeros(steps, dtype=bool))
-
-
-def _stretches(near: np.ndarray) -> tuple[tuple[int, int], ...]:
-    """First and last index of each run of True in (T + 1,) booleans."""
-    edges = np.diff(np.concatenate(([0], near.astype(int), [0])))
-    first, beyond = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
-    return tuple((int(a), int(b) - 1) for a, b in zip(first, beyond, strict=True))
+def _stretches(numbers: np.ndarray) -> tuple[tuple[int, int], ...]:
+    """First and last number of each run of consecutive ones among increasing integers."""
+    runs = np.split(numbers, 1 + np.flatnonzero(np.diff(numbers) > 1)) if len(numbers) else []
+    return tuple((int(run[0]), int(run[-1])) for run in runs)
