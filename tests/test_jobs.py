@@ -28,12 +28,12 @@ def _surroundings(monkeypatch):
 
 def il_job(folder: Path, seed: int = 0, *more: str) -> Job:
     words = ("il", "--seed", str(seed), "--run", str(folder), "--continue", *TINY_IL, *more)
-    return Job(folder.name, words, folder, None, 0)
+    return Job(folder, words)
 
 
 def rl_job(folder: Path, source: Path, *more: str) -> Job:
     words = ("rl", "--from", str(source), "--run", str(folder), "--continue", *TINY_RL, *more)
-    return Job(folder.name, words, folder, source, 16)
+    return Job(folder, words, source, 16)
 
 
 class Told:

@@ -220,7 +220,7 @@ def test_what_the_two_ingredients_change():
     rows = {name: figures(trained(rates)) for name, rates in success.items()}
     never = {name: figures(trained(rates, validation=np.zeros((2, 4)))) for name, rates in success.items()}
     sheet = sheets(summarise(TABLES[1], never), contrasts(never), "Table 1")[-1]
-    assert ("episodes until validation 0.9", "- (-)", "- (-)") in sheet.rows
+    assert ["episodes until validation 0.9", "- (-)", "- (-)"] in [list(line.values()) for line in sheet.lines]
     assert contrasts({name: row for name, row in rows.items() if name != "sarl-sfm6"}) == []
     found = {(c["of"], c["in"]): c for c in contrasts(rows)}
     forces = found["forces in the state", "success"]
@@ -234,11 +234,10 @@ def test_sheets_hold_in_80_columns_and_become_markdown():
     pages = sheets(summarise(TABLES[1], rows), contrasts(rows), "Table 1")
     assert len(pages) == 5
     for page in pages:
-        widths = [
-            max(len(part) for cell in column for part in cell.split("\n")) for column in zip(*page.rows, strict=True)
-        ]
+        assert len({tuple(line) for line in page.lines}) == 1
+        columns = zip(*([*line.values()] for line in page.lines), strict=True)
+        widths = [max(len(part) for cell in column for part in cell.split("\n")) for column in columns]
         assert sum(widths) + len(widths) <= 80
-        assert all(len(row) == len(page.headings) for row in page.rows)
         lines = page.markdown().splitlines()
         assert len({line.count("|") for line in lines[2:]}) == 1
         assert "\n" not in lines[2]

@@ -6,8 +6,10 @@ import json
 import re
 import shutil
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -233,27 +235,25 @@ def test_a_training_that_ended_on_this_machine_is_held_to_its_bits_wherever_it_b
 
 
 def test_where_bits_differ_outcomes_and_times_are_held_to_a_tolerance():
-    same, ends = Rerun(40, 0.0, 1, no_progress), np.array(["success"] * 38 + ["timeout"] * 2)
-    other = replace(same, tolerance=0.05, alike=False)
-    steps = np.full(40, 40)
-    later = steps + 30 * (np.arange(40) < 15)
-    assert same._differ(ends, ends, steps, later).sum() == 15
-    assert other._differ(ends, ends, steps, later).sum() == 0
+    ends, steps = np.array(["success"] * 38 + ["timeout"] * 2), np.full(40, 40)
+    other = Rerun(40, 0.05, 1, no_progress, alike=False)
+    later = steps + 30 * (np.arange(40) < 15), steps + 3
+    some_later, all_later = (SimpleNamespace(outcome=ends, steps=again) for again in later)
+    with pytest.raises(Disagreement, match="15 of the first 40"):
+        replace(other, tolerance=0.0, alike=True).judged("episodes", some_later, ends, steps)
+    assert other.judged("episodes", some_later, ends, steps) == "40 episodes end as they did"
     with pytest.raises(Disagreement, match="a time that differs"):
-        other._differ(ends, ends, steps, steps + 3)
+        other.judged("episodes", all_later, ends, steps)
 
 
 @pytest.mark.parametrize(
     ("bad", "tolerance", "right"), [(0, 0, True), (1, 0, False), (2, 0.05, True), (3, 0.05, False)]
 )
 def test_the_tolerance_is_a_share_of_the_episodes(bad, tolerance, right):
-    differ = np.arange(40) < bad
-    replay = Rerun(40, tolerance, 1, no_progress)
-    if right:
-        assert "40" in replay._judged(differ, False, "episodes")
-    else:
-        with pytest.raises(Disagreement, match=f"{bad} of the first 40"):
-            replay._judged(differ, False, "episodes")
+    rerun = Rerun(40, tolerance, 1, no_progress)
+    again = SimpleNamespace(outcome=np.where(np.arange(40) < bad, "timeout", "success"))
+    with nullcontext() if right else pytest.raises(Disagreement, match=f"{bad} of the first 40"):
+        assert "40" in rerun.judged("episodes", again, np.array(["success"] * 40))
 
 
 def test_tables_that_are_neither_there_nor_listed_are_missed(copy):

@@ -41,8 +41,8 @@ def explanation_parts(
 
 def _steps_table(explanation: Explanation, shown: list[dict[str, Any]], columns: int) -> Table:
     """Return a line a step; terms that the whole episode never pays are left out."""
-    valued = "value" in shown[0]
-    terms = [term for term in explanation.terms if len(explanation.terms) > 1 and explanation.own.pays(term)]
+    own, valued = explanation.own.plain, "value" in shown[0]
+    terms = [term for term, paid in own.items() if paid and len(own) > 1]
     width = 21 + 14 * valued + (DIGITS + 4) * (1 + len(terms))
     digits = DIGITS if width <= columns else FEWER_DIGITS
     heads = ("step", "time", "gap", "push", *("value", "next") * valued, *(HEADS.get(name, name) for name in terms))
@@ -56,22 +56,23 @@ def _steps_table(explanation: Explanation, shown: list[dict[str, Any]], columns:
 
 
 def _accounts_table(explanation: Explanation) -> Table:
-    """Return what each reward pays in all: a line each, and before them the own reward's plain sums."""
+    """Return a line for the own reward's plain sums, and one for what each reward pays, discounted."""
     own, accounts = explanation.own, explanation.accounts
-    names = dict.fromkeys(term for account in accounts for term in account.plain)
-    terms = [term for term in names if any(account.pays(term) for account in accounts)]
+    terms = list(dict.fromkeys(term for account in accounts for term in account.plain))
+    terms = [term for term in terms if any(account.plain.get(term) for account in accounts)]
     table = plain_table("", *(HEADS.get(name, name) for name in terms), "return")
-    rows = [("plain*", own.plain, sum(own.plain.values()))]
-    for account in accounts:
-        rows.append((account.name + "*" * (account is own), account.discounted, account.discounted_return))
-    for name, paid, whole in rows:
+
+    def add(name: str, paid: dict[str, float]) -> None:
         cells = [_signed(paid[term]) if term in paid else Text("-", "dim") for term in terms]
-        table.add_row(name, *cells, _signed(whole), end_section=name == "plain*")
+        table.add_row(name, *cells, _signed(sum(paid.values())))
+
+    add("plain*", own.plain)
+    table.add_section()
+    for account in accounts:
+        add(account.name + "*" * (account is own), account.discounted)
     return table
 
 
 def _signed(number: float, digits: int = DIGITS) -> Text:
-    """Return a number with its sign; only a 0 for exactly 0, and no "-0.0000"."""
-    if not number:
-        return Text("0", "dim")
-    return Text(f"{round(float(number), digits) + 0.0:+.{digits}f}")
+    """Return a number with its sign; "0" for exactly 0, and no "-0.0000"."""
+    return Text(f"{round(number, digits) + 0.0:+.{digits}f}") if number else Text("0", "dim")
