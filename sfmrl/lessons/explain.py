@@ -16,7 +16,7 @@ from sfmrl.episodes import Record
 from sfmrl.geometry import length
 from sfmrl.lookahead import step_discount
 from sfmrl.replay import Story, make_story
-from sfmrl.rewards import Terms, Transition, reward_terms, total
+from sfmrl.rewards import Transition, reward_terms, total
 from sfmrl.sfm import resultant
 
 # The paper's rewards, by the names under which their accounts are shown.
@@ -40,38 +40,23 @@ MARKS = {
 
 
 @dataclass(frozen=True)
-class Account:
-    """What a reward pays for an episode: sums over the steps by term, as they are and discounted to the start."""
-
-    name: str
-    plain: dict[str, float]
-    discounted: dict[str, float]
-
-    @property
-    def discounted_return(self) -> float:
-        """The episode's return under this reward."""
-        return sum(self.discounted.values())
-
-
-@dataclass(frozen=True)
 class Explanation:
-    """One episode: a row of plain values a step, and the accounts of its own reward and of the paper's."""
+    """One episode: a row of plain values a step, and what its own reward and the paper's pay in all, term by term."""
 
     name: str  # environment and episode, in words
     steps: list[dict[str, Any]]
-    own: Account  # whose terms are keys of the steps
-    accounts: list[Account]  # the paper's, and first the own reward where it is none of these
+    own: str  # the name of the episode's own reward
+    plain: dict[str, float]  # sums of the own reward's terms, which are keys of the steps
+    discounted: dict[str, dict[str, float]]  # sums of every reward's terms, discounted to the start
 
     def sums(self) -> dict[str, Any]:
-        """Return sums, accounts and steps as plain values, ready for JSON."""
-        return {
-            "totals": {"plain": self.own.plain, "discounted": self.own.discounted},
-            "return": self.own.discounted_return,
-            "rewards": [
-                {"reward": a.name, "terms": a.discounted, "return": a.discounted_return} for a in self.accounts
-            ],
-            "steps": self.steps,
-        }
+        """Return sums and steps as plain values, ready for JSON."""
+        own = self.discounted[self.own]
+        rewards = [
+            {"reward": name, "terms": paid, "return": sum(paid.values())} for name, paid in self.discounted.items()
+        ]
+        totals = {"plain": self.plain, "discounted": own}
+        return {"totals": totals, "return": sum(own.values()), "rewards": rewards, "steps": self.steps}
 
 
 def explain_episode(record: Record, row: int, policy: Any, reward: Reward, discount: float) -> Explanation:
@@ -88,13 +73,17 @@ def explain_episode(record: Record, row: int, policy: Any, reward: Reward, disco
     if reward not in rewards.values():
         rewards = {f"own {reward.reward.rpartition(':')[2]}": reward} | rewards
     terms = {name: reward_terms(chosen)(transition) for name, chosen in rewards.items()}
-    accounts = [_account(name, terms[name], factors) for name in rewards]
-    own = next(account for account in accounts if rewards[account.name] == reward)
     columns = _columns(story, transition, factors)
     columns |= {f"{name}: {term}": paid for name in rewards for term, paid in terms[name].items()}
     lists = [np.asarray(column).tolist() for column in columns.values()]  # of Python's own numbers
     steps = [dict(zip(columns, values, strict=True)) for values in zip(*lists, strict=True)]
-    return Explanation(story.name.replace(" · ", ", "), steps, own, accounts)
+    return Explanation(
+        name=story.name.replace(" · ", ", "),
+        steps=steps,
+        own=next(name for name in rewards if rewards[name] == reward),
+        plain={term: float(paid.sum()) for term, paid in story.terms.items()},
+        discounted={name: {term: float(factors @ paid) for term, paid in terms[name].items()} for name in rewards},
+    )
 
 
 def _columns(story: Story, transition: Transition, factors: np.ndarray) -> dict[str, Sequence]:
@@ -154,11 +143,6 @@ def _range(steps: str, count: int) -> tuple[int, int]:
     if not 1 <= first <= min(last, count):
         raise ConfigError(f"--steps is {steps!r}; the episode has steps 1 to {count}, write e.g. 1:{min(10, count)}")
     return first, last
-
-
-def _account(name: str, terms: Terms, factors: np.ndarray) -> Account:
-    plain = {term: float(values.sum()) for term, values in terms.items()}
-    return Account(name, plain, {term: float(factors @ values) for term, values in terms.items()})
 
 
 def _events(story: Story) -> list[str]:

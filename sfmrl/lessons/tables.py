@@ -22,7 +22,7 @@ HEADS = {
 def explanation_parts(
     explanation: Explanation, shown: list[dict[str, Any]], title: str, columns: int
 ) -> list[str | Table]:
-    """Return what to print in `columns`: the steps in `shown`, what their marks mean, and the accounts."""
+    """Return what to print in `columns`: the steps in `shown`, what their marks mean, and the sums."""
     steps = explanation.steps
     signs = {mark(row["event"]) for row in shown}
     legend = [f"{sign} {words}" for sign, (_, words) in MARKS.items() if sign in signs]
@@ -34,15 +34,15 @@ def explanation_parts(
         f"{title}, {explanation.name}: {steps[-1]['event'].split('; ')[0]} after {steps[-1]['time']:.2f} s",
         _steps_table(explanation, shown, columns),
         "\n".join([*notes, ""]),
-        _accounts_table(explanation),
+        _sums_table(explanation),
         "plain: sums; below: discounted to the start; *: the reward of the steps above",
     ]
 
 
 def _steps_table(explanation: Explanation, shown: list[dict[str, Any]], columns: int) -> Table:
     """Return a line a step; terms that the whole episode never pays are left out."""
-    own, valued = explanation.own.plain, "value" in shown[0]
-    terms = [term for term, paid in own.items() if paid and len(own) > 1]
+    valued = "value" in shown[0]
+    terms = [term for term, paid in explanation.plain.items() if paid and len(explanation.plain) > 1]
     width = 21 + 14 * valued + (DIGITS + 4) * (1 + len(terms))
     digits = DIGITS if width <= columns else FEWER_DIGITS
     heads = ("step", "time", "gap", "push", *("value", "next") * valued, *(HEADS.get(name, name) for name in terms))
@@ -55,21 +55,17 @@ def _steps_table(explanation: Explanation, shown: list[dict[str, Any]], columns:
     return table
 
 
-def _accounts_table(explanation: Explanation) -> Table:
-    """Return a line for the own reward's plain sums, and one for what each reward pays, discounted."""
-    own, accounts = explanation.own, explanation.accounts
-    terms = list(dict.fromkeys(term for account in accounts for term in account.plain))
-    terms = [term for term in terms if any(account.plain.get(term) for account in accounts)]
+def _sums_table(explanation: Explanation) -> Table:
+    """Return a line for the own reward's plain sums, and one for each reward's discounted sums."""
+    rewards = explanation.discounted
+    terms = list(dict.fromkeys(term for paid in rewards.values() for term in paid))
+    terms = [term for term in terms if any(paid.get(term) for paid in rewards.values())]
     table = plain_table("", *(HEADS.get(name, name) for name in terms), "return")
-
-    def add(name: str, paid: dict[str, float]) -> None:
+    lines = {"plain*": explanation.plain}
+    lines |= {name + "*" * (name == explanation.own): paid for name, paid in rewards.items()}
+    for name, paid in lines.items():
         cells = [_signed(paid[term]) if term in paid else Text("-", "dim") for term in terms]
-        table.add_row(name, *cells, _signed(sum(paid.values())))
-
-    add("plain*", own.plain)
-    table.add_section()
-    for account in accounts:
-        add(account.name + "*" * (account is own), account.discounted)
+        table.add_row(name, *cells, _signed(sum(paid.values())), end_section=name == "plain*")
     return table
 
 

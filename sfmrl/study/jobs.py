@@ -40,11 +40,6 @@ class Job:
     episodes: int = 0  # of reinforcement
 
     @property
-    def name(self) -> str:
-        """The run folder's name."""
-        return self.folder.name
-
-    @property
     def command(self) -> str:
         """What to type."""
         return shlex.join(["sfmrl", *self.words])
@@ -67,7 +62,7 @@ def run_jobs(
                 for job, message in workers.ended():
                     running -= 1
                     if not finished(job.folder) and not stop.requested:
-                        say(f"{job.name} failed: {message}")
+                        say(f"{job.folder.name} failed: {message}")
                         failed.append(job)
                 if stop.requested:
                     workers.stop()
@@ -87,7 +82,7 @@ def run_jobs(
             workers.kill()
             raise
     if failed:
-        raise Failed(f"{counted(len(failed), 'training')} failed: {', '.join(job.name for job in failed)}")
+        raise Failed(f"{counted(len(failed), 'training')} failed: {', '.join(job.folder.name for job in failed)}")
 
 
 def _episodes_played(job: Job) -> int:
@@ -138,7 +133,7 @@ class Processes:
 
 
 def _log(job: Job) -> Path:
-    return job.folder.parent / "logs" / f"{job.name}.txt"
+    return job.folder.parent / "logs" / f"{job.folder.name}.txt"
 
 
 def _last_line(text: str) -> str:
