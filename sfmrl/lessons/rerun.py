@@ -64,14 +64,15 @@ class Rerun:
         stored = read_table(run.folder / name)[: len(record.steps)]
         again = [{key: str(value) for key, value in row.items()} for row in episode_rows(record)]
         outcome, steps = (np.array([row[key] for row in stored]) for key in ("outcome", "steps"))
-        what = f"of {_whole(run)}, played by {weights} alone,"
+        whole = counted(run.config.reinforcement.test_episodes, "test episode")
+        what = f"of {whole}, played by {weights} alone,"
         return self.judged(what, record, outcome, steps.astype(int), stored == again)
 
     def recovery(self, run: Run) -> str:
         """Compare test episodes of the network with recovery with their failures, which alone are on file."""
-        record = self._play(run, WEIGHTS, recover=True)
-        stored = outcomes(result_of(run)["with_recovery"], run.config.reinforcement.test_episodes)
-        return self.judged(f"of {_whole(run)}", record, np.array(stored))
+        record, whole = self._play(run, WEIGHTS, recover=True), run.config.reinforcement.test_episodes
+        stored = outcomes(result_of(run)["with_recovery"], whole)
+        return self.judged(f"of {counted(whole, 'test episode')}", record, np.array(stored))
 
     def _play(self, run: Run, weights: str, recover: bool = False) -> Record:
         """Play test episodes as a training plays them at its end."""
@@ -107,10 +108,6 @@ class Rerun:
         if len(bad) > math.ceil(round(self.tolerance * count, 6)):
             raise Disagreement(said)
         return said
-
-
-def _whole(run: Run) -> str:
-    return counted(run.config.reinforcement.test_episodes, "test episode")
 
 
 def result_of(run: Run) -> dict[str, Any]:
