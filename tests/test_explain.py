@@ -30,18 +30,20 @@ def test_the_terms_add_up_to_the_record_s_return_whatever_the_reward(reward, env
         )
         for row in range(4):
             explained = explain_episode(record, row, orca_policy, reward, discount)
-            assert explained.own.discounted_return == pytest.approx(record.discounted_return[row], abs=1e-12)
-            assert sum(step["discounted_reward"] for step in explained.steps) == pytest.approx(
-                record.discounted_return[row], abs=1e-12
-            )
-            assert explained.steps[-1]["return_so_far"] == pytest.approx(record.discounted_return[row], abs=1e-12)
-            for step, paid in zip(explained.steps, record.reward[row], strict=False):
-                assert sum(step[term] for term in explained.terms) == pytest.approx(paid, abs=1e-15)
-            for account in explained.accounts:
-                by_step = {term: [s[f"{account.name}: {term}"] for s in explained.steps] for term in account.plain}
-                assert {term: sum(paid) for term, paid in by_step.items()} == pytest.approx(account.plain, abs=1e-12)
-            names = [account.name for account in explained.accounts]
-            assert names == (["own sfm-discount"] if reward is OWN else []) + list(PAPER_REWARDS)
+            steps, returned = explained.steps, pytest.approx(record.discounted_return[row], abs=1e-12)
+            assert explained.sums()["return"] == returned
+            assert sum(step["discounted_reward"] for step in steps) == returned
+            assert steps[-1]["return_so_far"] == returned
+            for step, paid in zip(steps, record.reward[row], strict=False):
+                assert sum(step[term] for term in explained.plain) == pytest.approx(paid, abs=1e-15)
+            for term, paid in explained.plain.items():
+                assert sum(step[term] for step in steps) == pytest.approx(paid, abs=1e-12)
+            factors = discount ** (0.25 * np.arange(len(steps)))  # at 1 m/s
+            for name, terms in explained.discounted.items():
+                by_step = {term: [step[f"{name}: {term}"] for step in steps] for term in terms}
+                assert {term: factors @ paid for term, paid in by_step.items()} == pytest.approx(terms, abs=1e-12)
+            names = (["own sfm-discount"] if reward is OWN else []) + list(PAPER_REWARDS)
+            assert list(explained.discounted) == names
 
 
 def test_the_other_rewards_pay_what_the_same_episode_played_under_them_does():
@@ -51,9 +53,8 @@ def test_the_other_rewards_pay_what_the_same_episode_played_under_them_does():
     }
     for row in range(3):
         explained = explain_episode(records["crowd"], row, orca_policy, Reward(), 0.9)
-        for account in explained.accounts:
-            expected = records[account.name].discounted_return[row]
-            assert account.discounted_return == pytest.approx(expected, abs=1e-12)
+        for name, paid in explained.discounted.items():
+            assert sum(paid.values()) == pytest.approx(records[name].discounted_return[row], abs=1e-12)
 
 
 def test_a_step_s_numbers_are_those_of_the_record_and_of_the_network():

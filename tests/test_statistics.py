@@ -42,10 +42,11 @@ def test_students_t_is_scipys(degrees):
 @pytest.mark.parametrize("seeds", [2, 3, 5, 10])
 def test_the_interval_and_the_p_value_of_a_mean_are_scipys(seeds):
     gaps = rng(seeds).normal(0.02, 0.03, size=seeds)
-    found, theirs = mean_difference(gaps), scipy.stats.ttest_1samp(gaps, 0)
-    interval = theirs.confidence_interval()
-    assert (found.mean, found.p) == pytest.approx((gaps.mean(), theirs.pvalue))
-    assert (found.low, found.high) == mean_interval(gaps) == pytest.approx((interval.low, interval.high))
+    theirs = scipy.stats.ttest_1samp(gaps, 0)
+    low, high = theirs.confidence_interval()
+    expected = {"mean": gaps.mean(), "low": low, "high": high, "p": theirs.pvalue}
+    assert mean_difference(gaps) == pytest.approx(expected)
+    assert mean_interval(gaps) == pytest.approx((low, high))
 
 
 @pytest.mark.parametrize("seeds", [3, 5, 10])
@@ -85,8 +86,8 @@ def score(only_one: int, only_other: int, episodes: int, delta: float) -> float:
 @pytest.mark.parametrize(("one", "other", "episodes"), [(12, 2, 50), (37, 9, 200), (1, 13, 30), (8, 0, 100)])
 def test_tangos_limits_are_the_differences_whose_score_is_just_significant(one, other, episodes):
     found = success_difference(one, other, episodes)
-    assert score(one, other, episodes, found.low) == pytest.approx(1.96, abs=0.01)
-    assert score(one, other, episodes, found.high) == pytest.approx(-1.96, abs=0.01)
+    z = [score(one, other, episodes, found[end]) for end in ("low", "high")]
+    assert z == pytest.approx([1.96, -1.96], abs=0.01)
 
 
 @pytest.mark.parametrize("alone", [(0.01, 0.01), (0.03, 0.0), (0.05, 0.02), (0.3, 0.2)])
@@ -95,54 +96,50 @@ def test_the_interval_of_a_difference_in_success_holds_the_true_one(alone):
     chances = scipy.stats.multinomial(50, [*alone, 1 - sum(alone)]).pmf(counts)
     likely = chances > 1e-5
     found = [success_difference(*count[:2].tolist(), 50) for count in counts[likely]]
-    holds = [gap.low <= alone[0] - alone[1] <= gap.high for gap in found]
+    holds = [gap["low"] <= alone[0] - alone[1] <= gap["high"] for gap in found]
     assert np.average(holds, weights=chances[likely]) >= 0.94
     if alone[0] == alone[1]:
-        assert np.average([gap.p < 0.05 for gap in found], weights=chances[likely]) <= 0.05
+        assert np.average([gap["p"] < 0.05 for gap in found], weights=chances[likely]) <= 0.05
 
 
 def test_few_differing_episodes_are_no_proof_and_none_leave_much_open():
-    assert success_difference(0, 4, 20).p == 0.125
+    assert success_difference(0, 4, 20)["p"] == 0.125
     for episodes in (20, 500):
-        none = success_difference(0, 0, episodes)
-        assert (none.mean, none.p) == (0, 1)
-        assert (-none.low, none.high) == pytest.approx([wilson(0, episodes)[1]] * 2)
+        most = wilson(0, episodes)[1]
+        assert success_difference(0, 0, episodes) == pytest.approx({"mean": 0, "low": -most, "high": most, "p": 1})
 
 
 @given(st.integers(0, 100), st.integers(0, 100))
 def test_the_interval_of_success_leaves_out_0_where_the_exact_test_does(one, other):
-    found = success_difference(one, other, 200)
-    assert (found.low <= 0 <= found.high) == (found.p > 0.05)
-    assert -1 <= found.low <= found.mean <= found.high <= 1
-    assert found.high - found.low > 0.01
+    mean, low, high, p = success_difference(one, other, 200).values()
+    assert (low <= 0 <= high) == (p > 0.05)
+    assert -1 <= low <= mean <= high <= 1
+    assert high - low > 0.01
 
 
 def test_few_pairs_of_times_are_no_proof():
-    assert vars(mean_difference(np.array([-7.0]), 25)) == {"mean": -7, "low": None, "high": None, "p": 1}
-    two = mean_difference(np.array([-7.0, -7.25]), 25)
-    assert two.p == 0.5
-    assert two.low < two.mean < two.high == 0
-    same = mean_difference(np.zeros(500), 25)
-    assert (same.low, same.p) == (None, 1)
+    assert mean_difference([-7.0], 25) == {"mean": -7, "low": None, "high": None, "p": 1}
+    mean, low, high, p = mean_difference([-7.0, -7.25], 25).values()
+    assert p == 0.5
+    assert low < mean < high == 0
+    assert mean_difference(np.zeros(500), 25) == {"mean": 0, "low": None, "high": None, "p": 1}
 
 
 @pytest.mark.parametrize("pairs", [2, 5, 24, 100])
 def test_times_that_differ_by_chance_are_rarely_called_different(pairs):
     gaps = np.round(4 * rng(5).standard_t(3, size=(1000, pairs))) / 4  # heavy tails, in steps of 0.25 s
-    assert np.mean([mean_difference(gap, 25).p < 0.05 for gap in gaps]) <= 0.06
-
-
-def closed_testing(p_values: np.ndarray) -> np.ndarray:
-    """Holm's adjusted p-values by their definition: the largest Bonferroni p of all sets with the hypothesis in."""
-    n = len(p_values)
-    sets = [s for size in range(1, n + 1) for s in combinations(range(n), size)]
-    return np.array([max(min(1, len(s) * min(p_values[list(s)])) for s in sets if i in s) for i in range(n)])
+    assert np.mean([mean_difference(gap, 25)["p"] < 0.05 for gap in gaps]) <= 0.06
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=6))
 def test_holm_is_closed_testing(p_values):
-    p_values = np.array(p_values)
-    np.testing.assert_allclose(holm(p_values), closed_testing(p_values))
+    """The largest Bonferroni p of all sets with the hypothesis in."""
+    n, p = len(p_values), np.array(p_values)
+    sets = [s for size in range(1, n + 1) for s in combinations(range(n), size)]
+    expected = [max(min(1, len(s) * min(p[list(s)])) for s in sets if i in s) for i in range(n)]
+    found = [{"p": each} for each in p_values]
+    holm(found)
+    np.testing.assert_allclose([gap["p_holm"] for gap in found], expected)
 
 
 @pytest.mark.parametrize("seeds", [5, 10])

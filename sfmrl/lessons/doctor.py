@@ -1,11 +1,10 @@
 """Check an installation: versions, terminal, ORCA, the same bits on two threads, and which bits are computed here.
 
-NumPy and torch are imported inside the checks, so that there is an answer where one of them is missing. Writes nothing.
+NumPy and torch are imported inside the checks, which report it if one of them is missing. Writes nothing.
 """
 
 import os
 import platform
-import sys
 from collections.abc import Iterator
 from importlib import import_module, metadata
 from pathlib import Path
@@ -15,7 +14,6 @@ from rich.console import Console
 from sfmrl import __version__
 from sfmrl.lessons import Finding
 
-OLDEST_PYTHON = (3, 11)
 COLUMNS, LINES = 80, 24  # that the pictures are made for
 REINSTALL = "pip install --force-reinstall"
 
@@ -23,8 +21,7 @@ REINSTALL = "pip install --force-reinstall"
 def examine(console: Console) -> Iterator[Finding]:
     """Yield all checks; `console` is the one that results are printed on."""
     yield Finding("sfmrl", None, f"{__version__}, in {Path(__file__).parents[1]}")
-    recent = sys.version_info >= OLDEST_PYTHON
-    yield Finding("Python", recent, platform.python_version(), f"install Python {'.'.join(map(str, OLDEST_PYTHON))}")
+    yield Finding("Python", True, platform.python_version())
     for name in ("numpy", "torch", "typer", "rich"):
         try:
             import_module(name)
@@ -40,7 +37,7 @@ def examine(console: Console) -> Iterator[Finding]:
 
 
 def _terminal(console: Console) -> Finding:
-    """How replays are drawn here; a training needs no terminal."""
+    """Check how replays are drawn here; a training needs no terminal."""
     if not console.is_terminal or console.is_dumb_terminal:
         return Finding("terminal", None, "standard output is not one: replays are stills, without colours")
     encoding = (console.encoding or "none").lower()
@@ -52,6 +49,7 @@ def _terminal(console: Console) -> Finding:
 
 
 def _orca() -> Finding:
+    """Check that ORCA reaches its goal."""
     from sfmrl import play, sample_scenes
 
     successes = int((play(sample_scenes("circle5", 16), "orca").outcome == "success").sum())
@@ -60,7 +58,7 @@ def _orca() -> Finding:
 
 
 def _two_threads() -> Finding:
-    """A network plays the same positions on one thread and, in other batches, on two."""
+    """Check that a network plays the same positions on one thread and, in other batches, on two."""
     from sfmrl.episodes import play_episodes
     from sfmrl.fast import new_network
     from sfmrl.lookahead import SarlPolicy
@@ -77,7 +75,7 @@ def _two_threads() -> Finding:
 
 
 def _processor() -> Finding:
-    """Which bits processor and libraries compute; where they are equal, so are the numbers of a training."""
+    """Return which bits processor and libraries compute; machines with equal ones train to equal numbers."""
     from sfmrl.lookahead import available_cores
     from sfmrl.runs.bits import machine_bits
 

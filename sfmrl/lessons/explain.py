@@ -1,7 +1,7 @@
-"""An episode under the reward's microscope: what every step paid, term by term, and what other rewards would have paid.
+"""Explain an episode: what the reward paid in every step, term by term, and what other rewards would have paid.
 
-Pure: a record in, rows of plain values out. Step n leads from (n - 1) dt to n dt. The repulsion and the actions' values
-are those at its start, when the robot chooses; the gap is the smallest during it, all else is of its end.
+Step n leads from (n - 1) dt to n dt. The repulsion and the actions' values are those at its start, when the robot
+chooses; the gap is the smallest during it; all else is of its end.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from sfmrl.episodes import Record
 from sfmrl.geometry import length
 from sfmrl.lookahead import step_discount
 from sfmrl.replay import Story, make_story
-from sfmrl.rewards import Terms, reward_terms, total
+from sfmrl.rewards import Transition, reward_terms, total
 from sfmrl.sfm import resultant
 
 # The paper's rewards, by the names under which their accounts are shown.
@@ -27,7 +27,7 @@ PAPER_REWARDS = {
     "sfm, k 0.003": Reward(reward="sfm", k=0.003),
 }
 ROWS = 12  # steps shown, about, besides those with events
-LONG_EVENT = 6  # steps; of an event that lasts longer, the first and the last step are shown
+LONG_EVENT = 6  # steps; of a longer event, the first and the last step are shown
 # An event's mark: how its words begin, and what the legend says.
 MARKS = {
     "!": (("too close",), "too close"),
@@ -40,50 +40,30 @@ MARKS = {
 
 
 @dataclass(frozen=True)
-class Account:
-    """What a reward pays for an episode: sums over the steps by term, as they are and discounted to the start."""
-
-    name: str
-    plain: dict[str, float]
-    discounted: dict[str, float]
-
-    @property
-    def discounted_return(self) -> float:
-        """The episode's return under this reward."""
-        return sum(self.discounted.values())
-
-    def pays(self, term: str) -> bool:
-        """Return whether a term pays or costs anything in all."""
-        return bool(self.plain.get(term))
-
-
-@dataclass(frozen=True)
 class Explanation:
-    """One episode: a row of plain values a step, and the accounts of its own reward and of the paper's."""
+    """One episode: a row of plain values a step, and what its own reward and the paper's pay in all, term by term."""
 
     name: str  # environment and episode, in words
     steps: list[dict[str, Any]]
-    terms: tuple[str, ...]  # the reward's, keys of the steps
-    own: Account
-    accounts: list[Account]  # the paper's, and first the own reward where it is none of these
+    own: str  # the name of the episode's own reward
+    plain: dict[str, float]  # sums of the own reward's terms, which are keys of the steps
+    discounted: dict[str, dict[str, float]]  # sums of every reward's terms, discounted to the start
 
     def sums(self) -> dict[str, Any]:
-        """Return sums, accounts and steps as plain values, ready for JSON."""
-        return {
-            "totals": {"plain": self.own.plain, "discounted": self.own.discounted},
-            "return": self.own.discounted_return,
-            "rewards": [
-                {"reward": a.name, "terms": a.discounted, "return": a.discounted_return} for a in self.accounts
-            ],
-            "steps": self.steps,
-        }
+        """Return sums and steps as plain values, ready for JSON."""
+        own = self.discounted[self.own]
+        rewards = [
+            {"reward": name, "terms": paid, "return": sum(paid.values())} for name, paid in self.discounted.items()
+        ]
+        totals = {"plain": self.plain, "discounted": own}
+        return {"totals": totals, "return": sum(own.values()), "rewards": rewards, "steps": self.steps}
 
 
 def explain_episode(record: Record, row: int, policy: Any, reward: Reward, discount: float) -> Explanation:
     """Explain the episode in one row of a record, under a reward and a discount per second at 1 m/s.
 
-    Each step's row has the terms of `reward` by their names, and those of all rewards as "sfm: distance" and so on.
-    Values of actions are there for policies that look ahead, and where there is anybody to see.
+    Each step's row has the terms of `reward` by their names, and those of all rewards as "sfm: distance" and so on. It
+    has values of actions if the policy looks ahead and somebody is there to see.
     """
     story = make_story(record, row, policy, reward, discount)
     one = record.take(np.array([row]))
@@ -93,32 +73,40 @@ def explain_episode(record: Record, row: int, policy: Any, reward: Reward, disco
     if reward not in rewards.values():
         rewards = {f"own {reward.reward.rpartition(':')[2]}": reward} | rewards
     terms = {name: reward_terms(chosen)(transition) for name, chosen in rewards.items()}
-    accounts = [_account(name, terms[name], factors) for name in rewards]
-    paid = total(story.terms)
-    columns = {
+    columns = _columns(story, transition, factors)
+    columns |= {f"{name}: {term}": paid for name in rewards for term, paid in terms[name].items()}
+    lists = [np.asarray(column).tolist() for column in columns.values()]  # of Python's own numbers
+    steps = [dict(zip(columns, values, strict=True)) for values in zip(*lists, strict=True)]
+    return Explanation(
+        name=story.name.replace(" · ", ", "),
+        steps=steps,
+        own=next(name for name in rewards if rewards[name] == reward),
+        plain={term: float(paid.sum()) for term, paid in story.terms.items()},
+        discounted={name: {term: float(factors @ paid) for term, paid in terms[name].items()} for name in rewards},
+    )
+
+
+def _columns(story: Story, transition: Transition, factors: np.ndarray) -> dict[str, Sequence]:
+    """Return what there is to say of every step, by name, (T,) each; `factors` discount its reward to the start."""
+    gap, push, paid = story.separations.min(axis=1, initial=np.inf), resultant(story.force[:-1]), total(story.terms)
+    return {
         "step": np.arange(1, story.last + 1),
         "time": story.time[1:],
         "event": _events(story),
         "velocity_x": story.velocity[1:, 0, 0],
         "velocity_y": story.velocity[1:, 0, 1],
         "goal_distance": transition.goal_distance,
-        **_gaps(story),
-        **_repulsion(story),
+        "gap": np.where(np.isfinite(gap), gap, None),
+        "nearest": _nearest(story),
+        "repulsion_x": push[:, 0],
+        "repulsion_y": push[:, 1],
+        "repulsion": length(push),
         **story.terms,
         "reward": paid,
         "discounted_reward": factors * paid,
         "return_so_far": story.returns[1:],
         **_values(story),
-        **{f"{name}: {term}": values for name in rewards for term, values in terms[name].items()},
     }
-    lists = [np.asarray(column).tolist() for column in columns.values()]  # of Python's own numbers
-    return Explanation(
-        name=story.name.replace(" · ", ", "),
-        steps=[dict(zip(columns, values, strict=True)) for values in zip(*lists, strict=True)],
-        terms=tuple(story.terms),
-        own=next(account for account in accounts if rewards[account.name] == reward),
-        accounts=accounts,
-    )
 
 
 def chosen_steps(
@@ -157,20 +145,15 @@ def _range(steps: str, count: int) -> tuple[int, int]:
     return first, last
 
 
-def _account(name: str, terms: Terms, factors: np.ndarray) -> Account:
-    plain = {term: float(values.sum()) for term, values in terms.items()}
-    return Account(name, plain, {term: float(factors @ values) for term, values in terms.items()})
-
-
 def _events(story: Story) -> list[str]:
     """Return what happened in each step, in words separated by "; ", the weightiest first; "" where nothing did."""
     events: list[list[str]] = [[] for _ in range(story.last)]
     end = {"success": "goal reached", "collision": "collision with ", "timeout": "time is up"}[story.outcome]
     events[-1].append(end + " and ".join(map(story.called, story.hit)))
+    nearest = _nearest(story)
     for first, last in story.close:
         for step in range(first - 1, last):
-            nearest = story.called(1 + int(story.separations[step].argmin()))
-            events[step].append(f"too close to {nearest}")
+            events[step].append(f"too close to {nearest[step]}")
     before = np.concatenate(([False], story.stuck[:-1]))
     for step in np.flatnonzero(story.stuck != before):
         events[step].append("stuck: led around the squares" if story.stuck[step] else "free again")
@@ -181,21 +164,9 @@ def _events(story: Story) -> list[str]:
     return ["; ".join(words) for words in events]
 
 
-def _gaps(story: Story) -> dict[str, Sequence]:
-    """Return the smallest gap of each step, m, and to whom; None and "" where nobody else is there."""
-    gap = story.separations.min(axis=1, initial=np.inf)
-    present = np.isfinite(gap)
-    nearest = [
-        story.called(1 + int(gaps.argmin())) if someone else ""
-        for gaps, someone in zip(story.separations, present, strict=True)
-    ]
-    return {"gap": np.where(present, gap, None), "nearest": nearest}
-
-
-def _repulsion(story: Story) -> dict[str, np.ndarray]:
-    """Return the resultant social force on the robot before each step, m/s^2."""
-    push = resultant(story.force[:-1])
-    return {"repulsion_x": push[:, 0], "repulsion_y": push[:, 1], "repulsion": length(push)}
+def _nearest(story: Story) -> list[str]:
+    """Return the element to which the gap of each step is smallest, by name; "" where nobody else is there."""
+    return [story.called(1 + int(gaps.argmin())) if np.isfinite(gaps).any() else "" for gaps in story.separations]
 
 
 def _values(story: Story) -> dict[str, np.ndarray]:

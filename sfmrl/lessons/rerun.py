@@ -55,9 +55,8 @@ class Rerun:
         scenes = thinned(scenes, run.config.sparse, run.config.seed)
         again = play_episodes(scenes, orca_policy, Reward(), simulation)  # whose paths depend on no reward
         stored = stored.take(np.arange(count))
-        differ = self._differ(stored.outcome, again.outcome, stored.steps, again.steps)
         exact = np.array_equal(stored.position[:, : again.position.shape[1]], again.position, equal_nan=True)
-        return self._judged(differ, exact, f"of {whole}, played by ORCA again,")
+        return self.judged(f"of {whole}, played by ORCA again,", again, stored.outcome, stored.steps, exact)
 
     def tests(self, run: Run, weights: str = WEIGHTS, name: str = "test.csv") -> str:
         """Compare test episodes of the network alone with their table."""
@@ -65,15 +64,15 @@ class Rerun:
         stored = read_table(run.folder / name)[: len(record.steps)]
         again = [{key: str(value) for key, value in row.items()} for row in episode_rows(record)]
         outcome, steps = (np.array([row[key] for row in stored]) for key in ("outcome", "steps"))
-        differ = self._differ(outcome, record.outcome, steps.astype(int), record.steps)
         whole = counted(run.config.reinforcement.test_episodes, "test episode")
-        return self._judged(differ, stored == again, f"of {whole}, played by {weights} alone,")
+        what = f"of {whole}, played by {weights} alone,"
+        return self.judged(what, record, outcome, steps.astype(int), stored == again)
 
     def recovery(self, run: Run) -> str:
         """Compare test episodes of the network with recovery with their failures, which alone are on file."""
         record, whole = self._play(run, WEIGHTS, recover=True), run.config.reinforcement.test_episodes
-        stored = outcomes(result_of(run)["with_recovery"], whole)[: len(record.steps)]
-        return self._judged(np.array(stored) != record.outcome, False, f"of {counted(whole, 'test episode')}")
+        stored = outcomes(result_of(run)["with_recovery"], whole)
+        return self.judged(f"of {counted(whole, 'test episode')}", record, np.array(stored))
 
     def _play(self, run: Run, weights: str, recover: bool = False) -> Record:
         """Play test episodes as a training plays them at its end."""
@@ -90,18 +89,17 @@ class Rerun:
                 progress=advance,
             )
 
-    def _differ(self, outcome: np.ndarray, outcome_again: np.ndarray, steps: np.ndarray, steps_again: np.ndarray):
-        """Return which episodes (n,) ended otherwise; raises Disagreement where times differ too much."""
-        differ = outcome != outcome_again
-        if self.alike:
-            return differ | (steps != steps_again)
-        off = np.abs(steps_again / np.maximum(steps, 1) - 1)[~differ]
-        if off.size and np.median(off) > TIME_TOLERANCE:
-            raise Disagreement(f"half of the episodes take a time that differs by more than {TIME_TOLERANCE:.0%}")
-        return differ
-
-    def _judged(self, differ: np.ndarray, exact: bool, what: str) -> str:
-        """Return what was found where `differ` (n,) marks the episodes that ended otherwise; raises Disagreement."""
+    def judged(
+        self, what: str, again: Record, outcome: np.ndarray, steps: np.ndarray | None = None, exact: bool = False
+    ) -> str:
+        """Compare episodes played again with the outcomes and steps on file, (n,); `exact` if all numbers are equal."""
+        differ = outcome != again.outcome
+        if steps is not None and self.alike:
+            differ |= steps != again.steps
+        elif steps is not None:
+            off = np.abs(again.steps / np.maximum(steps, 1) - 1)[~differ]
+            if off.size and np.median(off) > TIME_TOLERANCE:
+                raise Disagreement(f"half of the episodes take a time that differs by more than {TIME_TOLERANCE:.0%}")
         count, bad = len(differ), np.flatnonzero(differ)
         if not len(bad):
             return f"{count} {what} end as they did" + (", to the same numbers" if exact else "")
@@ -113,7 +111,7 @@ class Rerun:
 
 
 def result_of(run: Run) -> dict[str, Any]:
-    """Return what result.json holds."""
+    """Return the contents of result.json."""
     return json_object(read_listed(run.folder / "result.json"))
 
 

@@ -22,7 +22,7 @@ HEADS = {
 def explanation_parts(
     explanation: Explanation, shown: list[dict[str, Any]], title: str, columns: int
 ) -> list[str | Table]:
-    """Return what to print in `columns`: the steps in `shown`, what their marks mean, and the accounts."""
+    """Return what to print in `columns`: the steps in `shown`, what their marks mean, and the sums."""
     steps = explanation.steps
     signs = {mark(row["event"]) for row in shown}
     legend = [f"{sign} {words}" for sign, (_, words) in MARKS.items() if sign in signs]
@@ -34,7 +34,7 @@ def explanation_parts(
         f"{title}, {explanation.name}: {steps[-1]['event'].split('; ')[0]} after {steps[-1]['time']:.2f} s",
         _steps_table(explanation, shown, columns),
         "\n".join([*notes, ""]),
-        _accounts_table(explanation),
+        _sums_table(explanation),
         "plain: sums; below: discounted to the start; *: the reward of the steps above",
     ]
 
@@ -42,7 +42,7 @@ def explanation_parts(
 def _steps_table(explanation: Explanation, shown: list[dict[str, Any]], columns: int) -> Table:
     """Return a line a step; terms that the whole episode never pays are left out."""
     valued = "value" in shown[0]
-    terms = [term for term in explanation.terms if len(explanation.terms) > 1 and explanation.own.pays(term)]
+    terms = [term for term, paid in explanation.plain.items() if paid and len(explanation.plain) > 1]
     width = 21 + 14 * valued + (DIGITS + 4) * (1 + len(terms))
     digits = DIGITS if width <= columns else FEWER_DIGITS
     heads = ("step", "time", "gap", "push", *("value", "next") * valued, *(HEADS.get(name, name) for name in terms))
@@ -55,23 +55,20 @@ def _steps_table(explanation: Explanation, shown: list[dict[str, Any]], columns:
     return table
 
 
-def _accounts_table(explanation: Explanation) -> Table:
-    """Return what each reward pays in all: a line each, and before them the own reward's plain sums."""
-    own, accounts = explanation.own, explanation.accounts
-    names = dict.fromkeys(term for account in accounts for term in account.plain)
-    terms = [term for term in names if any(account.pays(term) for account in accounts)]
+def _sums_table(explanation: Explanation) -> Table:
+    """Return a line for the own reward's plain sums, and one for each reward's discounted sums."""
+    rewards = explanation.discounted
+    terms = list(dict.fromkeys(term for paid in rewards.values() for term in paid))
+    terms = [term for term in terms if any(paid.get(term) for paid in rewards.values())]
     table = plain_table("", *(HEADS.get(name, name) for name in terms), "return")
-    rows = [("plain*", own.plain, sum(own.plain.values()))]
-    for account in accounts:
-        rows.append((account.name + "*" * (account is own), account.discounted, account.discounted_return))
-    for name, paid, whole in rows:
+    lines = {"plain*": explanation.plain}
+    lines |= {name + "*" * (name == explanation.own): paid for name, paid in rewards.items()}
+    for name, paid in lines.items():
         cells = [_signed(paid[term]) if term in paid else Text("-", "dim") for term in terms]
-        table.add_row(name, *cells, _signed(whole), end_section=name == "plain*")
+        table.add_row(name, *cells, _signed(sum(paid.values())), end_section=name == "plain*")
     return table
 
 
 def _signed(number: float, digits: int = DIGITS) -> Text:
-    """Return a number with its sign; only a 0 for exactly 0, and no "-0.0000"."""
-    if not number:
-        return Text("0", "dim")
-    return Text(f"{round(float(number), digits) + 0.0:+.{digits}f}")
+    """Return a number with its sign; "0" for exactly 0, and no "-0.0000"."""
+    return Text(f"{round(number, digits) + 0.0:+.{digits}f}") if number else Text("0", "dim")

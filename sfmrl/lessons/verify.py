@@ -36,9 +36,9 @@ def verify(
 ) -> Iterator[Finding]:
     """Yield findings on a run folder; at most `episodes` test episodes, or demonstrations, are played again.
 
-    A reward that is Python code is run only with `trust_reward`, and if it is the file that the run was trained with.
     `tolerance` is the share of them that may end otherwise: by default none, or `TOLERANCE` where this machine does not
-    compute the bits of the run. Raises ConfigError where there is no run folder.
+    compute the bits of the run. A reward that is Python code is run only with `trust_reward`, and if it is the file
+    that the run was trained with. Raises ConfigError where there is no run folder.
     """
     if not (folder / "run.json").exists() and not (folder / SUMS).exists():
         open_run(folder)  # raises ConfigError, which says what it is instead
@@ -68,12 +68,12 @@ def verify(
 
 def _reinforcement(run: Run, rerun: Rerun) -> Iterator[Finding]:
     """Yield findings on what only a reinforcement run has."""
-    whole = run.config.reinforcement.test_episodes
     yield _finding("imitation", _began, run)
     yield _finding("result.json", _rates, run)
     yield _finding("replay", rerun.tests, run)
     if (run.folder / "test-best.csv").exists():
         yield _finding("best replay", rerun.tests, run, BEST, "test-best.csv")
+    whole = run.config.reinforcement.test_episodes
     if run.config.planner.recover and rerun.episodes >= whole:
         yield _finding("recovery", rerun.recovery, run)
     elif run.config.planner.recover:

@@ -9,7 +9,7 @@ from sfmrl.config import ConfigError, counted
 from sfmrl.episodes import Record
 from sfmrl.evaluation import RATES, episode_rows, metrics
 from sfmrl.lookahead import Policy
-from sfmrl.study.sheets import Sheet, estimate, make_sheet, p_value, rate, seconds
+from sfmrl.study.sheets import Sheet, estimate, p_value, rate, rate_interval, seconds
 from sfmrl.study.statistics import holm, mean_difference, success_difference
 
 LISTED = 20  # differing episodes that the terminal shows; JSON has all
@@ -19,46 +19,41 @@ EXACT_BELOW = 25  # shared successes; times are multiples of the time step, and 
 def compare(records: Sequence[Record], policies: Sequence[Policy], names: Sequence[str]) -> dict[str, Any]:
     """Compare the records of policies that played the same test episodes; returns plain values, ready for JSON.
 
-    `policies` holds the metrics of each, and for all but the first the differences from the first: in `success`, and in
-    the `navigation_time` (s) of the episodes in which both succeed. Each has a 95 % interval over episodes (None where
-    episodes are too few), the p-value of no difference, and the same by Holm for all policies compared. `differing`
-    lists the episodes in which some policies succeed and some do not. Raises ConfigError unless the episodes are the
-    same.
+    `policies` holds the metrics of each, and for all but the first `less_first`, the differences from the first: in
+    `success`, and in the `navigation_time` (s) of the episodes in which both succeed (None without any). p-values are
+    adjusted by Holm for all policies compared. `differing` lists the episodes in which some policies succeed and some
+    do not. Raises ConfigError unless the episodes are the same.
     """
-    first = records[0]
-    for record in records:
-        if not np.array_equal(record.scenes.start, first.scenes.start, equal_nan=True):
-            raise ConfigError("policies can only be compared on the same episodes")
+    first, *others = records
+    if not all(np.array_equal(record.scenes.start, first.scenes.start, equal_nan=True) for record in others):
+        raise ConfigError("policies can only be compared on the same episodes")
     rows = []
     for record, policy, name in zip(records, policies, names, strict=True):
         measured = metrics(record, policy)
         compared = ("episodes", *RATES, "intervals", "navigation_time", "total_reward", "recovered")
         rows.append({"policy": name} | {key: measured[key] for key in compared if key in measured})
-    for row, record in zip(rows[1:], records[1:], strict=True):
+    for row, record in zip(rows[1:], others, strict=True):
         row["less_first"] = _difference(record, first)
     for metric in ("success", "navigation_time"):
-        gaps = [row["less_first"][metric] for row in rows[1:] if row["less_first"][metric]]
-        for gap, p in zip(gaps, holm(np.array([gap["p"] for gap in gaps])), strict=True):
-            gap["p_holm"] = float(p)
+        holm([row["less_first"][metric] for row in rows[1:] if row["less_first"][metric]])
     return {"policies": rows, "differing": _differing(records, names)}
 
 
 def _difference(record: Record, first: Record) -> dict[str, Any]:
-    """A record's success and navigation time less the first's; None for the time where they share no success."""
+    """Return a record's success and navigation time less the first's, and in how many episodes one alone succeeds."""
     ours, theirs = (r.outcome == "success" for r in (record, first))
     both = ours & theirs
     only_this, only_first = int((ours & ~theirs).sum()), int((theirs & ~ours).sum())
-    times = mean_difference((record.time - first.time)[both], EXACT_BELOW) if both.any() else None
     return {
-        "success": vars(success_difference(only_this, only_first, len(ours))),
-        "navigation_time": times and vars(times),
+        "success": success_difference(only_this, only_first, len(ours)),
+        "navigation_time": mean_difference((record.time - first.time)[both], EXACT_BELOW) if both.any() else None,
         "only_this": only_this,
         "only_first": only_first,
     }
 
 
 def _differing(records: Sequence[Record], names: Sequence[str]) -> list[dict[str, Any]]:
-    """List the episodes in which some policies succeed and some fail, with every policy's outcome."""
+    """Return the episodes in which some policies succeed and some fail, with every policy's outcome."""
     success = np.array([record.outcome == "success" for record in records])
     scenes = records[0].scenes
     return [
@@ -79,25 +74,22 @@ def comparison_rows(records: Sequence[Record], names: Sequence[str]) -> list[dic
 def comparison_sheets(comparison: dict[str, Any], title: str) -> list[Sheet]:
     """Return the result of `compare` as sheets for the terminal."""
     rows, differing = comparison["policies"], comparison["differing"]
+    differences = f"Differences from {rows[0]['policy']}, with 95 % intervals over episodes"
     sheets = [
-        make_sheet(title, [_rates(row) for row in rows]),
-        make_sheet(
-            f"Differences from {rows[0]['policy']}, with 95 % intervals over episodes",
-            [_gaps(row["policy"], row["less_first"]) for row in rows[1:]],
-        ),
+        Sheet(title, [_rates(row) for row in rows]),
+        Sheet(differences, [_gaps(row["policy"], row["less_first"]) for row in rows[1:]]),
     ]
     if differing:
         count = counted(len(differing), "episode") + (f", the first {LISTED}" if len(differing) > LISTED else "")
         lines = [{"episode": str(d["episode"]), "env.": d["environment"], **d["outcomes"]} for d in differing[:LISTED]]
-        sheets.append(make_sheet(f"Where some succeed and some do not: {count}", lines))
+        sheets.append(Sheet(f"Where some succeed and some do not: {count}", lines))
     return sheets
 
 
 def _rates(row: dict[str, Any]) -> dict[str, str]:
-    low, high = row["intervals"]["success"]
     return {
         "policy": row["policy"],
-        "success": f"{rate(row['success'])} {rate(low)}-{rate(high)}",
+        "success": rate_interval(row["success"], *row["intervals"]["success"]),
         "collision": rate(row["collision"]),
         "time-out": rate(row["timeout"]),
         "nav.\ntime": seconds(row["navigation_time"]),

@@ -2,20 +2,17 @@
 
 A finished training is never repeated, and a killed one goes on from its checkpoint. Here, each writes its messages to
 a file of its own under logs/ beside its run folder. On a cluster (the extra "ray"), run folders travel to the worker
-and back: a worker needs sfmrl and no common file system. What a lost worker was training is trained again elsewhere,
+and back: a worker needs sfmrl and no common file system. If a worker is lost, its training is repeated elsewhere,
 to the same bits where that machine computes the same (`sfmrl doctor` shows a digest).
 """
 
-import io
 import shlex
 import shutil
 import subprocess
 import sys
-import tarfile
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -26,6 +23,7 @@ from sfmrl.runs.folders import finished
 from sfmrl.runs.progress import Interrupted, Progress, StopSignal
 
 POLL_INTERVAL = 0.5  # s
+SFMRL = (sys.executable, "-m", "sfmrl")
 
 
 class Failed(Exception):
@@ -36,11 +34,10 @@ class Failed(Exception):
 class Job:
     """A training as one plain command: `words` follow "sfmrl". Given again, it goes on where it was stopped."""
 
-    name: str
-    words: tuple[str, ...]
     folder: Path  # the run folder that it makes
-    needs: Path | None  # the run folder that has to be finished before
-    episodes: int  # of reinforcement
+    words: tuple[str, ...]
+    needs: Path | None = None  # the run folder that has to be finished before
+    episodes: int = 0  # of reinforcement
 
     @property
     def command(self) -> str:
@@ -59,42 +56,41 @@ def run_jobs(
     unfinished = [job for job in jobs if not finished(job.folder)]
     waiting, running, failed = list(unfinished), 0, []
     shown = sum(map(_episodes_played, unfinished))
-    with progress("trainings", sum(job.episodes for job in unfinished) - shown) as tell:
+    with progress("trainings", sum(job.episodes for job in unfinished) - shown) as advance:
         try:
             while waiting or running:
                 for job, message in workers.ended():
                     running -= 1
                     if not finished(job.folder) and not stop.requested:
-                        say(f"{job.name} failed: {message}")
+                        say(f"{job.folder.name} failed: {message}")
                         failed.append(job)
                 if stop.requested:
                     workers.stop()
                     raise Interrupted
-                lost = {job.folder for job in failed}
-                failed += [job for job in waiting if job.needs in lost]
-                waiting = [job for job in waiting if job.needs not in lost]
-                for job in [job for job in waiting if job.needs is None or finished(job.needs)]:
-                    if workers.start(job):
+                for job in list(waiting):
+                    if any(job.needs == other.folder for other in failed):
+                        failed.append(job)
                         waiting.remove(job)
+                    elif (job.needs is None or finished(job.needs)) and workers.start(job):
                         running += 1
-                played = sum(map(_episodes_played, unfinished))
-                tell(max(0, played - shown))
-                shown = max(shown, played)
+                        waiting.remove(job)
+                played = max(shown, sum(map(_episodes_played, unfinished)))  # fewer after going on from a checkpoint
+                advance(played - shown)
+                shown = played
                 time.sleep(POLL_INTERVAL)
         except BaseException:
             workers.kill()
             raise
     if failed:
-        raise Failed(f"{counted(len(failed), 'training')} failed: {', '.join(job.name for job in failed)}")
+        raise Failed(f"{counted(len(failed), 'training')} failed: {', '.join(job.folder.name for job in failed)}")
 
 
 def _episodes_played(job: Job) -> int:
-    """Training episodes that a run has behind it."""
+    """Return the training episodes in a run's metrics."""
     path = job.folder / "metrics.csv"
     if not job.episodes or not path.exists():
         return 0
-    with open(regular(path), "rb") as file:
-        return max(0, sum(1 for _ in file) - 1)
+    return max(0, read_regular(path).count(b"\n") - 1)
 
 
 class Processes:
@@ -105,21 +101,18 @@ class Processes:
         self._running: dict[Job, subprocess.Popen] = {}
 
     def start(self, job: Job) -> bool:
-        """Start a job in a session of its own, so that a Ctrl-C in this terminal does not reach it."""
+        """Start a job if there is room, in a session of its own, which a Ctrl-C in this terminal does not reach."""
         if len(self._running) == self._limit:
             return False
         log = _log(job)
         log.parent.mkdir(parents=True, exist_ok=True)
-        words = [sys.executable, "-m", "sfmrl", *job.words]
         with open(regular(log), "a") as out:
-            process = subprocess.Popen(
-                words, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, start_new_session=True
-            )
-        self._running[job] = process
+            how = {"stdin": subprocess.DEVNULL, "stdout": out, "stderr": subprocess.STDOUT, "start_new_session": True}
+            self._running[job] = subprocess.Popen([*SFMRL, *job.words], **how)
         return True
 
     def ended(self) -> Iterator[tuple[Job, str]]:
-        """Remove and return the jobs whose process has ended, each with the last line of its log."""
+        """Remove and yield the jobs whose process has ended, each with the last line of its log."""
         for job in [job for job, process in self._running.items() if process.poll() is not None]:
             del self._running[job]
             log = _log(job)
@@ -129,8 +122,7 @@ class Processes:
     def stop(self) -> None:
         """Ask all trainings to stop at their next checkpoint, and wait until they have."""
         for process in self._running.values():
-            with suppress(ProcessLookupError):
-                process.terminate()
+            process.terminate()
         for process in self._running.values():
             process.wait()
 
@@ -141,7 +133,7 @@ class Processes:
 
 
 def _log(job: Job) -> Path:
-    return job.folder.parent / "logs" / f"{job.name}.txt"
+    return job.folder.parent / "logs" / f"{job.folder.name}.txt"
 
 
 def _last_line(text: str) -> str:
@@ -158,28 +150,25 @@ class RayWorkers:
         except ImportError:
             raise ConfigError("--on ray needs Ray; install it with pip install 'sfmrl[ray]'") from None
         ray.init(log_to_driver=False, logging_level="error", ignore_reinit_error=True)
-        self._ray = ray
+        self._ray, self._sent = ray, {}  # references to results, and their jobs
         self._train = ray.remote(num_cpus=1, max_retries=-1)(train_away)
-        self._packed = cache(lambda folder: folder and ray.put(pack(folder)))  # sent once, whoever needs it
-        self._sent: dict[ray.ObjectRef, Job] = {}
+        self._packed = cache(lambda folder: ray.put(pack(folder)))  # sent once to all jobs that need it
 
     def start(self, job: Job) -> bool:
         """Send a job to the cluster, which queues it, with its run folder and the one that it needs."""
         restore(job.folder)
-        begun = pack(job.folder) if job.folder.exists() else None
-        self._sent[self._train.remote(job, begun, self._packed(job.needs))] = job
+        self._sent[self._train.remote(job, pack(job.folder), self._packed(job.needs))] = job
         return True
 
     def ended(self) -> Iterator[tuple[Job, str]]:
-        """Remove and return the jobs that have ended, each with its last message, and put their folders in place."""
+        """Remove and yield the jobs that have ended, each with its last message, once its folder is in place."""
         for reference in self._ray.wait(list(self._sent), timeout=0)[0] if self._sent else ():
             job = self._sent.pop(reference)
             try:
-                message, archive = self._ray.get(reference)
+                message, trained = self._ray.get(reference)
+                unpack(trained, job.folder)
             except self._ray.exceptions.RayError as error:
-                message, archive = _last_line(str(error)), None
-            if archive is not None:
-                unpack(archive, job.folder)
+                message = _last_line(str(error))
             yield job, message
 
     def stop(self) -> None:
@@ -190,48 +179,44 @@ class RayWorkers:
     kill = stop
 
 
-def train_away(job: Job, begun: bytes | None, needed: bytes | None) -> tuple[str, bytes | None]:
-    """Train on a worker, with the job's run folder and the one it needs packed, None where there is none.
+Files = dict[str, bytes]  # a folder by relative path; empty if there is no folder
 
-    Returns the training's last message, and the run folder packed, None if it failed.
-    """
+
+def train_away(job: Job, begun: Files, needed: Files) -> tuple[str, Files]:
+    """Train on a worker, given the files of both folders; returns the last message, and the files unless it failed."""
     with tempfile.TemporaryDirectory() as place:
-        here = {str(folder): Path(place) / folder.name for folder in (job.folder, job.needs) if folder}
-        for folder, archive in ((job.folder, begun), (job.needs, needed)):
-            if archive is not None:
-                unpack(archive, here[str(folder)])
-        words = [sys.executable, "-m", "sfmrl", *(str(here.get(word, word)) for word in job.words)]
-        done = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
-        return _last_line(done.stderr or done.stdout), pack(here[str(job.folder)]) if done.returncode == 0 else None
+        here = {str(folder): Path(place, folder.name) for folder in (job.folder, job.needs) if folder}
+        for folder, files in zip(here.values(), (begun, needed), strict=False):
+            unpack(files, folder)
+        words = [str(here.get(word, word)) for word in job.words]
+        done = subprocess.run([*SFMRL, *words], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+        return _last_line(done.stderr or done.stdout), {} if done.returncode else pack(here[str(job.folder)])
 
 
-def pack(folder: Path) -> bytes:
-    """Return a folder's files as an archive."""
-    buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode="w") as archive:
-        archive.add(folder, arcname=".")
-    return buffer.getvalue()
+def pack(folder: Path | None) -> Files:
+    """Return a folder's files."""
+    paths = folder.rglob("*") if folder else ()
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths if path.is_file()}
 
 
-def unpack(data: bytes, folder: Path) -> None:
-    """Replace a folder by the files of an archive; after a crash `restore` gives the old one or the new one."""
-    place = _beside(folder)
-    restore(folder)
-    shutil.rmtree(place, ignore_errors=True)  # left by an unpacking that was killed
-    with tarfile.open(fileobj=io.BytesIO(data)) as archive:
-        archive.extractall(place / "new", filter="data")
-    if folder.exists():
-        folder.rename(place / "old")
-    (place / "new").rename(folder)
-    shutil.rmtree(place)
+def unpack(files: Files, folder: Path) -> None:
+    """Replace a folder by these files, if any; after a crash, `restore` leaves the old or the new one."""
+    if files:
+        beside = restore(folder)
+        for name, data in files.items():
+            path = beside / "new" / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+        if folder.exists():
+            folder.rename(beside / "old")
+        (beside / "new").rename(folder)
+        shutil.rmtree(beside)
 
 
-def restore(folder: Path) -> None:
-    """Put a folder back that `unpack` had moved away when it was killed; do nothing if none is missing."""
-    old = _beside(folder) / "old"
-    if old.exists() and not folder.exists():
-        old.rename(folder)
-
-
-def _beside(folder: Path) -> Path:
-    return folder.with_name(f".{folder.name}.tmp")
+def restore(folder: Path) -> Path:
+    """Clean up after an `unpack` that was killed; returns the path of the folder in which it works."""
+    beside = folder.with_name(f".{folder.name}.tmp")
+    if (beside / "old").exists() and not folder.exists():
+        (beside / "old").rename(folder)
+    shutil.rmtree(beside, ignore_errors=True)
+    return beside

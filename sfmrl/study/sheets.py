@@ -17,23 +17,23 @@ PAPERS = ("success", "navigation_time", "total_reward")  # metrics that the pape
 
 @dataclass(frozen=True)
 class Sheet:
-    """A table of texts; the first column holds names."""
+    """A table of texts: lines, at least one, of cells by heading; the first column holds names."""
 
     title: str
-    headings: tuple[str, ...]
-    rows: list[tuple[str, ...]]
+    lines: list[dict[str, str]]
 
     def markdown(self) -> str:
         """Return the sheet as Markdown."""
-        lines = [self.headings, ("---",) + ("---:",) * (len(self.headings) - 1), *self.rows]
-        body = "\n".join(f"| {' | '.join(line)} |".replace("\n", " ") for line in lines)
+        first, *others = self.lines[0]
+        rows = [[first, *others], ["---"] + ["---:"] * len(others), *(line.values() for line in self.lines)]
+        body = "\n".join(f"| {' | '.join(row)} |".replace("\n", " ") for row in rows)
         return f"{self.title}\n\n{body}\n"
 
     def table(self) -> Table:
         """Return the sheet, without its title, as a table for the terminal."""
-        table = plain_table(*self.headings)
-        for row in self.rows:
-            table.add_row(*map(Text, row))
+        table = plain_table(*self.lines[0])
+        for line in self.lines:
+            table.add_row(*map(Text, line.values()))
         return table
 
 
@@ -48,11 +48,6 @@ def plain_table(*headings: str, first: str = "left", gap: int = 0, title: str | 
     for number, heading in enumerate(headings):
         table.add_column(heading, justify="right" if number else first, no_wrap=True)
     return table
-
-
-def make_sheet(title: str, lines: list[dict[str, str]]) -> Sheet:
-    """Return a sheet of lines whose cells are given by heading; raises IndexError without lines."""
-    return Sheet(title, tuple(lines[0]), [tuple(line.values()) for line in lines])
 
 
 def number(value: float | None, form: str = ".3f") -> str:
@@ -73,20 +68,19 @@ def p_value(p: float) -> str:
     return "<.001" if p < 0.001 else rate(p)
 
 
-def between(figure: dict[str, Any], form: Callable[[float], str] = rate) -> str:
-    """Write an interval's ends by `form`, or "-" for none."""
+def interval(figure: dict[str, Any], form: Callable[[float], str] = rate) -> str:
+    """Write the ends of a difference's interval; "-" for none."""
     return "-" if figure["low"] is None else f"{form(figure['low'])} to {form(figure['high'])}"
 
 
 def estimate(figure: dict[str, Any] | None, form: Callable[[float], str] = rate) -> str:
-    """Write a difference by `form`, with its interval in brackets; "-" for none."""
-    return "-" if figure is None else f"{form(figure['mean'])} ({between(figure, form)})"
+    """Write a difference with its interval in brackets; "-" for none."""
+    return "-" if figure is None else f"{form(figure['mean'])} ({interval(figure, form)})"
 
 
-def rate_interval(figure: dict[str, Any]) -> str:
-    """Write a mean rate and its interval, if there is one."""
-    interval = "" if figure["low"] is None else f" {rate(figure['low'])}-{rate(figure['high'])}"
-    return rate(figure["mean"]) + interval
+def rate_interval(mean: float, low: float | None, high: float | None) -> str:
+    """Write a rate with its interval, if there is one."""
+    return rate(mean) if low is None else f"{rate(mean)} {rate(low)}-{rate(high)}"
 
 
 def sheets(summary: list[dict[str, Any]], contrasts: list[dict[str, Any]], title: str) -> list[Sheet]:
@@ -94,8 +88,6 @@ def sheets(summary: list[dict[str, Any]], contrasts: list[dict[str, Any]], title
     seeds = sorted({seed for row in summary for seed in row["seeds"]})
     unbroken = len(seeds) > 1 and seeds == list(range(seeds[0], seeds[-1] + 1))
     named = f"{seeds[0]}-{seeds[-1]}" if unbroken else ", ".join(map(str, seeds))
-    compared = [row for row in summary if row["difference"]]
-    metrics = CONTRASTED if contrasts else ()
     course = "Weights of the best validation; time with time-outs as 25 s; training until validation success 0.9"
     pages = {
         f"{title}; 95 % intervals over seeds (Student's t)": [_rates(row) for row in summary],
@@ -103,26 +95,31 @@ def sheets(summary: list[dict[str, Any]], contrasts: list[dict[str, Any]], title
             _points(row, named) for row in summary
         ],
         course: [_course(row) for row in summary],
-        "Differences from SARL, paired by seed": [_difference(row) for row in compared],
+        "Differences from SARL, paired by seed": [_difference(row) for row in summary if row["difference"]],
         "Effect of each ingredient, with and without the other, paired by seed": [
-            _contrast(metric, contrasts) for metric in metrics
+            _contrast(metric, contrasts) for metric in CONTRASTED if contrasts
         ],
     }
-    return [make_sheet(heading, lines) for heading, lines in pages.items() if lines]
+    return [Sheet(heading, lines) for heading, lines in pages.items() if lines]
 
 
 def _rates(row: dict[str, Any]) -> dict[str, str]:
-    mean = {name: figure["mean"] for name, figure in row["figures"].items()}
+    figures = row["figures"]
+    mean = {name: figure["mean"] for name, figure in figures.items()}
     return {
         "row": row["row"],
         "paper": "/".join(rate(value).removesuffix("0") for value in row["paper"]["success"]),
-        "success": rate_interval(row["figures"]["success"]),
+        "success": _over_seeds(figures["success"]),
         "people +\nsquares": f"{rate(mean['human_collision'])}+{rate(mean['square_collision'])}",
         "time-out": rate(mean["timeout"]),
         "nav.\ntime": seconds(mean["navigation_time"]),
         "total\nreward": number(mean["total_reward"]),
         "the paper\nis": row["verdict"],
     }
+
+
+def _over_seeds(figure: dict[str, Any]) -> str:
+    return rate_interval(figure["mean"], figure["low"], figure["high"])
 
 
 def _points(row: dict[str, Any], seeds: str) -> dict[str, str]:
@@ -140,7 +137,7 @@ def _course(row: dict[str, Any]) -> dict[str, str]:
     episodes = figures["reached_episodes"]
     return {
         "row": row["row"],
-        "best": rate_interval(figures["best_success"]),
+        "best": _over_seeds(figures["best_success"]),
         "time, s": seconds(figures["navigation_time_charged"]["mean"]),
         "episodes": whole(episodes["mean"]),
         "steps": number(figures["reached_steps"]["mean"], ",.0f"),
@@ -154,7 +151,7 @@ def _difference(row: dict[str, Any]) -> dict[str, str]:
     return {
         "row": row["row"],
         "success\nless SARL's": rate(gap["mean"]),
-        "95 %": between(gap),
+        "95 %": interval(gap),
         "p": p,
         "p (Holm)": p_holm,
         "paper": rate(gap["paper"]),
@@ -172,48 +169,41 @@ def csv_rows(summary: list[dict[str, Any]], contrasts: list[dict[str, Any]]) -> 
     """Return a line per figure of each seed, and one (seed "all") for the mean, its interval and the paper's."""
     lines = []
 
-    def line(row: str, metric: str, seed: Any, value: Any, **more: Any) -> None:
-        empty = dict.fromkeys(("low", "high", "paper", "p_holm"), "")
-        lines.append({"row": row, "metric": metric, "seed": seed, "value": value} | empty | more)
+    def add(row: str, metric: str, seed: int | str, value: float | None, **more: Any) -> None:
+        others = {name: more.get(name, "") for name in ("low", "high", "paper", "p_holm")}
+        lines.append({"row": row, "metric": metric, "seed": seed, "value": value} | others)
 
     for row in summary:
         for metric, figure in row["figures"].items():
             paper = "/".join(map(str, row["paper"][metric])) if metric in PAPERS else ""
-            line(row["row"], metric, "all", figure["mean"], low=figure["low"], high=figure["high"], paper=paper)
+            add(row["row"], metric, "all", figure["mean"], **figure, paper=paper)
             for seed, value in zip(row["seeds"], figure["values"], strict=True):
-                line(row["row"], metric, seed, value)
+                add(row["row"], metric, seed, value)
         rates = row["figures"]["success"]["values"]
         for seed, (low, high), value in zip(row["seeds"], row["wilson"], rates, strict=True):
-            line(row["row"], "success_wilson", seed, value, low=low, high=high)
-        if row["difference"]:
-            gap = {name: row["difference"][name] for name in ("low", "high", "paper", "p_holm")}
-            line(row["row"], "success_less_sarl", "all", row["difference"]["mean"], **gap)
+            add(row["row"], "success_wilson", seed, value, low=low, high=high)
+        if gap := row["difference"]:
+            add(row["row"], "success_less_sarl", "all", gap["mean"], **gap)
     for contrast in contrasts:
-        gap = {name: contrast[name] for name in ("low", "high")}
-        line(contrast["of"], f"{contrast['in']}_difference", "all", contrast["mean"], **gap)
+        add(contrast["of"], f"{contrast['in']}_difference", "all", contrast["mean"], **contrast)
     return lines
 
 
 def model_sheet(cards: dict[str, dict[str, Any]]) -> Sheet:
     """Return a sheet of model cards."""
-    lines = []
-    for name, card in cards.items():
-        alone, helped = (
-            f"{rate(test['success'])} {'-'.join(map(rate, test['interval']))}"
-            for test in (card["alone"], card["with_recovery"])
-        )
-        lines.append(
-            {
-                "model": name,
-                "preset": card["preset"],
-                "seed": str(card["seed"]),
-                "tested on": card["environment"],
-                "success alone": alone,
-                "with recovery": helped,
-                "nav.\ntime": seconds(card["with_recovery"]["navigation_time"]),
-            }
-        )
-    return make_sheet("Models that come with sfmrl; 95 % Wilson intervals", lines)
+    lines = [
+        {
+            "model": name,
+            "preset": card["preset"],
+            "seed": str(card["seed"]),
+            "tested on": card["environment"],
+            "success alone": rate_interval(card["alone"]["success"], *card["alone"]["interval"]),
+            "with recovery": rate_interval(card["with_recovery"]["success"], *card["with_recovery"]["interval"]),
+            "nav.\ntime": seconds(card["with_recovery"]["navigation_time"]),
+        }
+        for name, card in cards.items()
+    ]
+    return Sheet("Models that come with sfmrl; 95 % Wilson intervals", lines)
 
 
 def card_lines(card: dict[str, Any], indent: str = "") -> list[str]:

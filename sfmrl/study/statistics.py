@@ -1,14 +1,15 @@
-"""95 % intervals, tests of differences with their p-values, and what they say of a table's runs.
+"""95 % intervals, tests of differences with their p-values, and the statistics of a table's runs.
 
 Means over training seeds have Student's t interval, rates of test episodes Wilson's. Two policies on the same episodes
-are compared in pairs: success by Tango's interval and the exact McNemar test, navigation time by Student's t. Where
-values are too few to show a spread, there is no interval (None). A table's statistics follow from one value per seed
-and metric (`Figures`); differences between rows are paired by seed, and their intervals say what other training seeds
-would change on the same test episodes.
+are compared in pairs: success by Tango's interval and the exact McNemar test, navigation time by Student's t. Rows of a
+table are paired by seed; their intervals say what other training seeds would change on the same test episodes.
+
+A figure is a dict of plain values: its `mean`, the ends `low` and `high` of the mean's interval (None where the values
+show no spread), and for a difference the two-sided p-value `p` of no difference.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -22,8 +23,9 @@ ROUNDING = 1e-9  # values that differ by less are equal
 HALVINGS = 60  # in a bisection, to the last bits of a float
 SEEDS_NEEDED = 5  # for a verdict on the paper
 WIDEST = 0.1  # a wider range of expected success is no basis for a verdict
+UNDECIDED = {"expected": None, "verdict": "inconclusive"}
 NO_RATES = ("navigation_time", "total_reward", "best_episode", "reached")  # beginnings of metrics not from 0 to 1
-# Two ingredients that the paper judges: the mean, over pairs of table 1's rows, of the first row less the second.
+# The effect of an ingredient: the mean, over pairs of table 1's rows, of the first row less the second.
 CONTRASTS = {
     "forces in the state": (("sarl-sfm5", "sarl"), ("sarl-sfm6", "sarl-sfm2")),
     "SFM reward": (("sarl-sfm2", "sarl"), ("sarl-sfm6", "sarl-sfm5")),
@@ -50,13 +52,17 @@ def t_within(t: float, degrees: int) -> float:
 
 @cache
 def t_quantile(degrees: int) -> float:
-    """Find the t for which P(|T| <= t) is 0.95, by bisection of the angle atan(t / sqrt(degrees))."""
-    low, high = 0.0, math.pi / 2
+    """Return the t for which P(|T| <= t) is 0.95, by bisection of the angle atan(t / sqrt(degrees))."""
+    root = math.sqrt(degrees)
+    return root * math.tan(_last(lambda angle: t_within(root * math.tan(angle), degrees) < LEVEL, 0.0, math.pi / 2))
+
+
+def _last(holds: Callable[[float], bool], near: float, far: float) -> float:
+    """Return the last number on the way from `near` to `far` for which a condition holds, by bisection."""
     for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        below = t_within(math.sqrt(degrees) * math.tan(middle), degrees) < LEVEL
-        low, high = (middle, high) if below else (low, middle)
-    return math.sqrt(degrees) * math.tan(low)
+        middle = (near + far) / 2
+        near, far = (middle, far) if holds(middle) else (near, middle)
+    return near
 
 
 def mean_interval(
@@ -77,18 +83,8 @@ def _standard_error(values: np.ndarray) -> float:
     return float(values.std(ddof=1)) / math.sqrt(len(values))
 
 
-@dataclass(frozen=True)
-class Difference:
-    """A mean difference, its 95 % interval (None where there is none), and the two-sided p-value of no difference."""
-
-    mean: float
-    low: float | None
-    high: float | None
-    p: float
-
-
-def mean_difference(gaps: np.ndarray, exact_below: int = 0) -> Difference:
-    """Return the mean of paired differences `gaps` (N,), N >= 1, Student's t interval and the t-test's p-value.
+def mean_difference(gaps: np.ndarray, exact_below: int = 0) -> dict[str, Any]:
+    """Return the figure of paired differences `gaps` (N,), N >= 1: Student's t interval, p of the t-test.
 
     Where there is no interval, p is that of the exact sign test: 1 for a single pair. With fewer than `exact_below`
     pairs, p is the larger of the two: for differences that are far from normal, such as multiples of a time step.
@@ -97,44 +93,36 @@ def mean_difference(gaps: np.ndarray, exact_below: int = 0) -> Difference:
     mean, (low, high) = float(gaps.mean()), mean_interval(gaps)
     exact = sign_test(int((gaps > ROUNDING).sum()), int((gaps < -ROUNDING).sum()))
     if low is None:
-        return Difference(mean, None, None, exact)
+        return {"mean": mean, "low": None, "high": None, "p": exact}
     p = max(0.0, 1 - t_within(abs(mean) / _standard_error(gaps), len(gaps) - 1))
-    return Difference(mean, low, high, p) if len(gaps) >= exact_below else _with_exact(mean, low, high, max(p, exact))
+    return _difference(mean, low, high, max(p, exact) if len(gaps) < exact_below else p)
 
 
-def success_difference(only_one: int, only_other: int, episodes: int) -> Difference:
-    """Return the success rate of one policy less that of another in the same `episodes`.
+def success_difference(only_one: int, only_other: int, episodes: int) -> dict[str, Any]:
+    """Return the figure of one policy's success rate less another's in the same `episodes`.
 
     `only_one` and `only_other` count the episodes in which one policy alone succeeds. The interval is Tango's (1998);
     p is that of the exact McNemar test, which is the sign test on the episodes that differ.
     """
-    low, high = (_tango_limit(only_one, only_other, episodes, bound) for bound in (-1.0, 1.0))
-    return _with_exact((only_one - only_other) / episodes, low, high, sign_test(only_one, only_other))
 
-
-def _tango_limit(only_one: int, only_other: int, episodes: int, bound: float) -> float:
-    """Find the last difference on the way to `bound` (1 or -1) that the score test does not reject, by bisection.
-
-    The test of a difference `delta` takes its variance from the likeliest rates whose difference is `delta`.
-    """
-    near, far = (only_one - only_other) / episodes, bound
-    for _ in range(HALVINGS):
-        delta = (near + far) / 2
-        # Given `delta`, the likeliest rate q of `only_other` solves 2 n q^2 + b q = only_other delta (1 - delta).
+    def accepted(delta: float) -> bool:
+        """Return whether the score test, with the likeliest rates whose difference is `delta`, does not reject it."""
+        # The likeliest rate q of `only_other` solves 2 n q^2 + b q = only_other delta (1 - delta).
         b = (2 * episodes - only_one + only_other) * delta - only_one - only_other
         root = math.sqrt(max(b * b + 8 * episodes * only_other * delta * (1 - delta), 0.0))
         likeliest = (root - b) / (4 * episodes)
         variance = episodes * (2 * likeliest + delta * (1 - delta))
-        inside = (only_one - only_other - episodes * delta) ** 2 < Z * Z * variance
-        near, far = (delta, far) if inside else (near, delta)
-    return near
+        return (only_one - only_other - episodes * delta) ** 2 < Z * Z * variance
+
+    mean = (only_one - only_other) / episodes
+    return _difference(mean, _last(accepted, mean, -1.0), _last(accepted, mean, 1.0), sign_test(only_one, only_other))
 
 
-def _with_exact(mean: float, low: float, high: float, p: float) -> Difference:
-    """Return a difference with the p-value of an exact test, and its interval widened to 0 unless p rejects 0."""
+def _difference(mean: float, low: float, high: float, p: float) -> dict[str, Any]:
+    """Return a figure whose interval is widened to 0 where p, which may come from another test, does not reject 0."""
     if p > 1 - LEVEL:
         low, high = min(low, 0.0), max(high, 0.0)
-    return Difference(mean, low, high, p)
+    return {"mean": mean, "low": low, "high": high, "p": p}
 
 
 def sign_test(ups: int, downs: int) -> float:
@@ -144,14 +132,12 @@ def sign_test(ups: int, downs: int) -> float:
     return min(1.0, 2 * sum(math.exp(log - n * math.log(2)) for log in logs))
 
 
-def holm(p_values: np.ndarray) -> np.ndarray:
-    """Return p-values (n,) adjusted for being several (Holm, 1979)."""
-    p_values = np.asarray(p_values, dtype=float)
-    order = np.argsort(p_values)
-    adjusted = np.maximum.accumulate(p_values[order] * np.arange(len(order), 0, -1))
-    result = np.empty_like(p_values)
-    result[order] = np.minimum(adjusted, 1.0)
-    return result
+def holm(differences: list[dict[str, Any]]) -> None:
+    """Add to each difference its p-value adjusted for being one of several (Holm, 1979), `p_holm`."""
+    adjusted = 0.0
+    for rank, difference in enumerate(sorted(differences, key=lambda difference: difference["p"])):
+        adjusted = min(1.0, max(adjusted, difference["p"] * (len(differences) - rank)))
+        difference["p_holm"] = adjusted
 
 
 def next_run(rates: np.ndarray, trials: int) -> tuple[float, float]:
@@ -171,7 +157,6 @@ def summarise(table: Table, rows: dict[str, Figures]) -> list[dict[str, Any]]:
     """Return each row's name, the paper's figures and ours as plain values, ready for JSON; None for no value."""
     summary = []
     for name, row in rows.items():
-        figures = {metric: _over_seeds(v, not metric.startswith(NO_RATES)) for metric, v in row.values.items()}
         hits = np.round(row.values["success"] * row.test_episodes)
         summary.append(
             {
@@ -179,21 +164,19 @@ def summarise(table: Table, rows: dict[str, Figures]) -> list[dict[str, Any]]:
                 "paper": table.paper[name],
                 "seeds": row.seeds,
                 "test_episodes": row.test_episodes,
-                "figures": figures,
+                "figures": {m: _over_seeds(v, not m.startswith(NO_RATES)) for m, v in row.values.items()},
                 "wilson": [list(wilson(int(count), row.test_episodes)) for count in hits],
                 "wilson_of_mean": list(wilson(round(hits.mean()), row.test_episodes)),
                 **_verdict(table, name, row.values["success"]),
                 "difference": _less_sarl(table, name, rows),
             }
         )
-    differences = [row["difference"] for row in summary if row["difference"]]
-    for difference, p in zip(differences, holm(np.array([d["p"] for d in differences])), strict=True):
-        difference["p_holm"] = float(p)
+    holm([row["difference"] for row in summary if row["difference"]])
     return summary
 
 
 def _over_seeds(values: np.ndarray, is_rate: bool = False) -> dict[str, Any]:
-    """Mean over the seeds that have a value, its 95 % interval, their standard deviation, and every value."""
+    """Return the figure of the seeds that have a value, with their standard `deviation` and all `values`."""
     known = values[np.isfinite(values)]
     low, high = mean_interval(known, 0.0, 1.0) if is_rate else mean_interval(known)
     mean = float(known.mean()) if len(known) else None
@@ -205,22 +188,24 @@ def _over_seeds(values: np.ndarray, is_rate: bool = False) -> dict[str, Any]:
 def _verdict(table: Table, name: str, rates: np.ndarray) -> dict[str, Any]:
     """Judge whether one more run of ours, tested on as many episodes as the paper's, could have the paper's success."""
     if len(rates) < SEEDS_NEEDED:
-        return {"expected": None, "verdict": "inconclusive"}
+        return UNDECIDED
     mean, half = next_run(rates, table.test_episodes)
-    low, high = max(mean - half, 0.0), min(mean + half, 1.0)
-    return {"expected": [low, high], "verdict": _judge(low, high, table.paper[name]["success"])}
+    return _judge(max(mean - half, 0.0), min(mean + half, 1.0), table.paper[name]["success"])
 
 
-def _judge(low: float, high: float, reported: tuple[float, ...]) -> str:
-    """Return consistent, inconsistent or inconclusive; allows for the rounding of the reported figures."""
-    half = 0.5 * 10.0 ** -max(len(f"{value:.6f}".rstrip("0").partition(".")[2]) for value in (*reported, 0.01))
-    if all(low - half <= value <= high + half for value in reported):
-        return "inconclusive" if high - low > WIDEST else "consistent"
-    return "inconsistent"
+def _judge(low: float, high: float, reported: tuple[float, ...]) -> dict[str, Any]:
+    """Return whether the reported figures, which are rounded, are consistent with the expected range."""
+    two_digits = all(abs(value - round(value, 2)) < ROUNDING for value in reported)
+    half = 0.005 if two_digits else 0.0005
+    if not all(low - half <= value <= high + half for value in reported):
+        verdict = "inconsistent"
+    else:
+        verdict = "inconclusive" if high - low > WIDEST else "consistent"
+    return {"expected": [low, high], "verdict": verdict}
 
 
 def _less_sarl(table: Table, name: str, rows: dict[str, Figures]) -> dict[str, Any] | None:
-    """A row's success less SARL's, paired by seed; None for SARL itself and where nothing can be paired."""
+    """Return a row's success less SARL's, paired by seed; None for SARL itself and where nothing can be paired."""
     if name == "sarl" or "sarl" not in rows:
         return None
     ours, sarl = rows[name], rows["sarl"]
@@ -229,21 +214,22 @@ def _less_sarl(table: Table, name: str, rows: dict[str, Figures]) -> dict[str, A
         return None
     one, other = (row.of("success", shared) for row in (ours, sarl))
     paper = float(np.mean(table.paper[name]["success"]) - np.mean(table.paper["sarl"]["success"]))
-    difference = vars(mean_difference(one - other)) | {"seeds": shared, "paper": paper, "verdict": "inconclusive"}
+    difference = mean_difference(one - other) | {"seeds": shared, "paper": paper} | UNDECIDED
     if len(shared) >= SEEDS_NEEDED:
         (mean, half), (sarl_mean, sarl_half) = (next_run(rates, table.test_episodes) for rates in (one, other))
         low, high = (mean - sarl_mean + sign * math.hypot(half, sarl_half) for sign in (-1, 1))
-        difference |= {"expected": [low, high], "verdict": _judge(low, high, (paper,))}
+        difference |= _judge(low, high, (paper,))
     return difference
 
 
 def contrasts(rows: dict[str, Figures]) -> list[dict[str, Any]]:
-    """Return the effects of forces in the state and of the SFM reward, paired by the seeds that all their rows have."""
+    """Return the effect of each ingredient on each metric, paired by the seeds that all four rows have."""
+    names = {name for pairs in CONTRASTS.values() for pair in pairs for name in pair}
+    if not names <= set(rows):
+        return []
+    shared = [seed for seed in rows["sarl"].seeds if all(seed in rows[name].seeds for name in names)]
     effects = []
     for ingredient, pairs in CONTRASTS.items():
-        if not all(name in rows for pair in pairs for name in pair):
-            continue
-        shared = [s for s in rows["sarl"].seeds if all(s in rows[name].seeds for pair in pairs for name in pair)]
         for metric in CONTRASTED:
             by_seed = np.mean([rows[a].of(metric, shared) - rows[b].of(metric, shared) for a, b in pairs], axis=0)
             effects.append({"of": ingredient, "in": metric, **_over_seeds(by_seed)})

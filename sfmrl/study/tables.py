@@ -1,8 +1,8 @@
 """The paper's two tables: rows with the paper's figures, the trainings that make them, each seed's metrics.
 
-Only finished run folders are read, so where and in which order they were trained does not matter. All are tested on the
-same episodes, with the weights that the training ended with, as in the paper; those of the best validation are tested
-beside them. Validation, test and training episodes are drawn from streams of their own, and never overlap.
+A table is made from finished run folders, wherever and in whichever order they were trained. All are tested on the same
+episodes, with the weights that the training ended with, as in the paper; those of the best validation are tested beside
+them. Training, validation and test episodes are drawn from separate streams, and never overlap.
 """
 
 import re
@@ -25,10 +25,10 @@ TIME_CHARGED = 25.0  # s, for a time-out in the navigation time that counts time
 
 @dataclass(frozen=True)
 class Table:
-    """One of the paper's tables; what a row's runs add to variant and preset, and the paper's own figures.
+    """One of the paper's tables: where and how long its rows are trained, how they are tested, and the paper's figures.
 
-    `paper` holds, for each row, the success, collision rate, navigation time (s) and total reward that the paper
-    reports, one for each of its runs (it trained SARL twice). `episodes` are training episodes by preset.
+    `episodes` are training episodes by preset. `paper` holds a row's success, collision rate, navigation time (s) and
+    total reward, each with a value for each of the paper's runs (it trained SARL twice).
     """
 
     environment: str
@@ -77,27 +77,25 @@ def make_jobs(
     episodes: int | None = None,
     interval: int | None = None,
 ) -> list[Job]:
-    """The trainings of a table: an imitation run for each seed, which its rows share, and a run for each row.
+    """Return a table's trainings: for each seed an imitation, which its rows share, and a reinforcement for each row.
 
     `episodes` of each training and the `interval` of its validations are by default the table's.
     """
-    table, jobs = TABLES[number], []
+    table = TABLES[number]
     length, interval = episodes or table.episodes[preset], interval or VALIDATION_INTERVAL[preset]
+    changes = ["--no-recover", "--validation-interval", str(interval), "--test-best"]
+    if number == 2:
+        changes += ["--environment", table.environment, "--test-episodes", str(table.test_episodes)]
+    if number == 2 or episodes:
+        changes += ["--episodes", str(length)]
+    going_on, jobs = ("--continue", "--threads", "1"), []
     for seed in seeds:
-        source = folder / f"{preset}-il-seed{seed}"
-        common = ("--preset", preset, "--seed", str(seed))
-        words = ("il", *common, "--run", str(source), "--continue", "--threads", "1")
-        jobs.append(Job(source.name, words, source, None, 0))
+        source, common = folder / f"{preset}-il-seed{seed}", ("--preset", preset, "--seed", str(seed))
+        jobs.append(Job(source, ("il", *common, "--run", str(source), *going_on)))
         for row in rows:
             run = run_folder(folder, number, preset, row, seed)
-            words = ["rl", "--variant", row, *common, "--from", str(source), "--run", str(run), "--no-recover"]
-            words += ["--validation-interval", str(interval), "--test-best"]
-            if number == 2:
-                words += ["--environment", table.environment, "--test-episodes", str(table.test_episodes)]
-            if number == 2 or episodes:
-                words += ["--episodes", str(length)]
-            words += ["--continue", "--threads", "1"]
-            jobs.append(Job(run.name, tuple(words), run, source, length))
+            folders = ("--from", str(source), "--run", str(run))
+            jobs.append(Job(run, ("rl", "--variant", row, *common, *folders, *changes, *going_on), source, length))
     return jobs
 
 
@@ -119,11 +117,11 @@ def parse_rows(number: int, text: str | None) -> list[str]:
 def parse_seeds(text: str) -> list[int]:
     """Return the seeds of "0-9" or "0,3,5-7", each once; raises ConfigError on anything else."""
     seeds: dict[int, None] = {}
-    for part in text.split(","):
-        match = re.fullmatch(r"([0-9]{1,18})(?:-([0-9]{1,18}))?", part.strip())
+    for part in map(str.strip, text.split(",")):
+        match = re.fullmatch(r"([0-9]{1,18})(?:-([0-9]{1,18}))?", part)
         first, last = (int(end or match[1]) for end in match.groups()) if match else (0, -1)
         if last < first:
-            raise ConfigError(f"--seeds {text}: {part.strip()!r} is neither a seed nor a range; write 0-9 or 0,3,5-7")
+            raise ConfigError(f"--seeds {text}: {part!r} is neither a seed nor a range; write 0-9 or 0,3,5-7")
         if len(seeds) + last - first >= MOST_SEEDS:
             raise ConfigError(f"--seeds {text} are too many; name at most {MOST_SEEDS}")
         seeds |= dict.fromkeys(range(first, last + 1))
@@ -157,29 +155,25 @@ def read_row(folder: Path, number: int, preset: str, row: str, seeds: list[int])
     runs = {seed: run for seed, run in runs.items() if finished(run)}
     if not runs:
         return None
+    folders = list(runs.values())
     try:
-        return _read_runs(runs)
+        best = [json_object(read_listed(run / "result.json"))["best_validation"] for run in folders]
+        validation = _columns(folders, "validation.csv", "validated", episode=int, success=float)
+        metrics = _columns(folders, "metrics.csv", outcome=str, steps=int)
+        return Trained(
+            seeds=list(runs),
+            **_columns(folders, "test.csv", "tested", outcome=str, hit=str, time=float, total_reward=float),
+            best=np.array([float(result["success"]) for result in best]),
+            best_episode=np.array([int(result["episode"]) for result in best]),
+            episodes=validation["episode"][0],
+            validation=validation["success"],
+            training=metrics["outcome"] == "success",
+            steps=metrics["steps"],
+        )
     except ConfigError:
         raise
     except (OSError, ValueError, LookupError, TypeError, ArithmeticError) as error:  # what odd content leads to
         raise ConfigError(f"a run of row {row} under {folder} cannot be read ({error!r}); train it again") from error
-
-
-def _read_runs(runs: dict[int, Path]) -> Trained:
-    folders = list(runs.values())
-    best = [json_object(read_listed(run / "result.json"))["best_validation"] for run in folders]
-    validation = _columns(folders, "validation.csv", "validated", episode=int, success=float)
-    metrics = _columns(folders, "metrics.csv", outcome=str, steps=int)
-    return Trained(
-        seeds=list(runs),
-        **_columns(folders, "test.csv", "tested", outcome=str, hit=str, time=float, total_reward=float),
-        best=np.array([float(result["success"]) for result in best]),
-        best_episode=np.array([int(result["episode"]) for result in best]),
-        episodes=validation["episode"][0],
-        validation=validation["success"],
-        training=metrics["outcome"] == "success",
-        steps=metrics["steps"],
-    )
 
 
 def _columns(runs: list[Path], name: str, played: str = "", **kinds: type) -> dict[str, np.ndarray]:
@@ -211,8 +205,9 @@ def figures(runs: Trained) -> Figures:
     """Compute the metrics of every seed from its test episodes and the course of its training."""
     success, timeout = runs.outcome == "success", runs.outcome == "timeout"
     first = (runs.episodes > 0) & (runs.episodes <= EARLY * runs.episodes[-1])  # validations; not that of the start
-    no_value = np.full(len(runs.seeds), np.nan)
-    reached, steps = _reached(runs)
+    reached = runs.validation >= REACHED
+    until = np.where(reached.any(axis=1), runs.episodes[reached.argmax(axis=1)], np.nan)
+    before = np.arange(runs.steps.shape[1]) < until[:, None]  # training episodes
     values = {
         "success": success.mean(axis=1),  # this and the next three add up to 1
         "human_collision": (runs.hit == "human").mean(axis=1),
@@ -224,11 +219,11 @@ def figures(runs: Trained) -> Figures:
         "best_success": runs.best,
         "best_episode": runs.best_episode.astype(float),
         "start_success": runs.validation[:, 0],
-        "early_success": runs.validation[:, first].mean(axis=1) if first.any() else no_value,
+        "early_success": runs.validation[:, first].mean(axis=1) if first.any() else np.full(len(runs.seeds), np.nan),
         "early_training_success": runs.training[:, : int(EARLY * runs.training.shape[1])].mean(axis=1),
         "drops": np.maximum(-np.diff(runs.validation, axis=1), 0).mean(axis=1),  # 0 is steady
-        "reached_episodes": reached,
-        "reached_steps": steps,
+        "reached_episodes": until,
+        "reached_steps": np.where(np.isnan(until), np.nan, (runs.steps * before).sum(axis=1)),
     }
     return Figures(runs.seeds, runs.outcome.shape[1], values)
 
@@ -237,12 +232,3 @@ def _mean_where(values: np.ndarray, where: np.ndarray) -> np.ndarray:
     """Return the mean of each row's entries in `where`, NaN without any."""
     count = where.sum(axis=1)
     return np.divide((values * where).sum(axis=1), count, out=np.full(len(values), np.nan), where=count > 0)
-
-
-def _reached(runs: Trained) -> tuple[np.ndarray, np.ndarray]:
-    """Return training episodes and steps until the first validation success of 0.9, each (S,); NaN where never."""
-    enough = runs.validation >= REACHED
-    at = np.where(enough.any(axis=1), runs.episodes[enough.argmax(axis=1)], np.nan)
-    count = np.concatenate([np.zeros((len(at), 1)), runs.steps.cumsum(axis=1)], axis=1)
-    steps = [row[int(n)] if np.isfinite(n) else np.nan for row, n in zip(count, at, strict=True)]
-    return at, np.array(steps)
