@@ -22,9 +22,11 @@ READ_ONLY = "what it is given is read-only: work on a copy, as numpy.array(...) 
 HINTS = {  # what to change in a user's function, by a part of the error that it raises
     "read-only": READ_ONLY,
     "cannot assign to field": READ_ONLY,
-    "positional argument": "define it with two arguments, (transition, settings)",
+    "positional argument": "define it with two arguments, {arguments}",
     "truth value of an array": "it is given whole arrays: choose with numpy.where or numpy.select instead of if",
 }
+
+ARGUMENTS = {"reward": "(transition, settings)", "policy": "(world, crowd_velocity)"}
 
 
 class UntrustedReward(ConfigError):
@@ -53,6 +55,7 @@ def guarded(who: str, what: str, file: str, call: Callable[[], Any]) -> Any:
         where = f" (line {lines[-1]})" if lines else ""
         text = " ".join(f"{type(error).__name__}: {error}".rstrip(": ").split())
         hint = next((f"; {hint}" for part, hint in HINTS.items() if part in text), "")
+        hint = hint.replace("{arguments}", ARGUMENTS[who.partition(" ")[0]])
         raise ConfigError(f"{who}{where} {what}: {text}{hint}") from error
 
 
@@ -82,8 +85,47 @@ def kind(thing: Any) -> str:
     return repr(thing) if isinstance(thing, (str, int, float, type(None))) else f"a {type(thing).__name__}"
 
 
-def load(name: str) -> Callable:
-    """The function that "file.py:function" or "package.module:function" names.
+class OwnPolicy:
+    """A user's policy by its name, "file.py:function", or "file.py:make()" for what `make` returns.
+
+    Its errors become ConfigError with the line; what else the policy has (`begin`, `batch` ...) is passed on.
+    """
+
+    def __init__(self, name: str) -> None:
+        made = name.endswith("()")
+        self.own = load(name.removesuffix("()"), "policy")
+        self.__name__, self._file = name, source(self.own)
+        if made:
+            self.own = guarded(f"policy {name}", "failed", self._file, self.own)
+            if not callable(self.own):
+                raise ConfigError(
+                    f"policy {name} returned {kind(self.own)}; it must return a policy, {ARGUMENTS['policy']}"
+                )
+
+    def __call__(self, world: Any, crowd_velocity: np.ndarray) -> Any:
+        return guarded(f"policy {self.__name__}", "failed", self._file, lambda: self.own(world, crowd_velocity))
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "own":  # copy.copy() asks before __init__ has run
+            raise AttributeError(name)
+        return getattr(self.own, name)
+
+
+def names_code(name: str) -> bool:
+    """Whether a policy's name is one of Python code: file.py:function or package.module:function, also with ()."""
+    place, _, function = name.rpartition(":")
+    return function.removesuffix("()").isidentifier() and (
+        place.endswith(".py") or all(part.isidentifier() for part in place.split("."))
+    )
+
+
+def source(function: Callable) -> str:
+    """The file that a function stands in, "" for other callables."""
+    return function.__code__.co_filename if hasattr(function, "__code__") else ""
+
+
+def load(name: str, what: str = "reward") -> Callable:
+    """The function that "file.py:function" or "package.module:function" names, a "reward" or a "policy".
 
     Raises UntrustedReward if only a file names it, ConfigError if there is no such function.
     """
@@ -93,11 +135,11 @@ def load(name: str) -> Callable:
             f"add --trust-reward, or --reward {shlex.quote(name)} (in Python: load_policy(..., trust_reward=True))"
         )
     place, _, function = name.rpartition(":")
-    file = _file(name)
+    file = _file(name, what)
     run = runpy.run_path if file else lambda module: vars(importlib.import_module(module))
-    known = guarded(f"reward {name}", "cannot be imported", file, lambda: run(file or place))
+    known = guarded(f"{what} {name}", "cannot be imported", file, lambda: run(file or place))
     if not callable(known.get(function)):
-        raise ConfigError(f"reward {name}: {place} has no function {function!r}{suggest(function, known)}")
+        raise ConfigError(f"{what} {name}: {place} has no function {function!r}{suggest(function, known)}")
     return known[function]
 
 
@@ -115,16 +157,21 @@ def absolute(name: str) -> str:
 
 
 def reward_digest(settings: Reward) -> str | None:
-    """The SHA-256 of the file with a user's reward; None without a file. Raises ConfigError if it is missing."""
-    file = _file(settings.reward)
+    """`code_digest` of a user's reward."""
+    return code_digest(settings.reward)
+
+
+def code_digest(name: str) -> str | None:
+    """The SHA-256 of the file that a name of Python code names; None without one. Raises ConfigError if missing."""
+    file = _file(name)
     return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else None
 
 
-def _file(name: str) -> str:
-    """The file in a reward's name, "" if it names none; raises ConfigError if it is missing."""
+def _file(name: str, what: str = "reward") -> str:
+    """The file in a name of Python code, "" if it names none; raises ConfigError if it is missing."""
     place = name.rpartition(":")[0]
     if not place.endswith(".py"):
         return ""
     if not Path(place).is_file():
-        raise ConfigError(f"reward {name}: there is no file {place}; put it there, or write its path as seen from here")
+        raise ConfigError(f"{what} {name}: there is no file {place}; put it there, or write its path as seen from here")
     return place

@@ -8,7 +8,7 @@ import numpy as np
 from sfmrl.config import ConfigError
 from sfmrl.geometry import direction
 from sfmrl.lookahead import Policy, SarlPolicy, available_cores
-from sfmrl.own_code import kind, trusted
+from sfmrl.own_code import OwnPolicy, kind, names_code, trusted
 from sfmrl.world import World, orca_crowd, sfm_crowd
 
 
@@ -46,7 +46,7 @@ def find_policy(policy: str | Path | Policy, reward: Any = None) -> Policy:
 
 def load_policy(name_or_path: str | Path, threads: int | None = None, *, trust_reward: bool | str = False) -> Policy:
     """The policy with a name: linear, orca, sfm, a model that comes with sfmrl (sarl, sarl-sfm6, ...), a run folder, a
-    weights file (sfmrl's or CrowdNav's SARL), or CrowdNav's output folder.
+    weights file (sfmrl's or CrowdNav's SARL), CrowdNav's output folder, or a user's own (see `own_code.OwnPolicy`).
 
     A CrowdNav file does not name its reward, so its policy looks ahead with CrowdNav's. A network that was trained with
     a user's own reward looks ahead with that Python code, which is run only if `trust_reward` is True or the reward's
@@ -55,6 +55,8 @@ def load_policy(name_or_path: str | Path, threads: int | None = None, *, trust_r
     """
     if str(name_or_path) in POLICIES:
         return POLICIES[str(name_or_path)]
+    if names_code(str(name_or_path)):
+        return OwnPolicy(str(name_or_path))
     from sfmrl.recovery import with_recovery
     from sfmrl.runs.weights import find_weights, load_weights
 

@@ -13,7 +13,7 @@ import numpy as np
 from sfmrl.batch import Batch
 from sfmrl.config import ConfigError, Reward, suggest
 from sfmrl.geometry import length
-from sfmrl.own_code import checked_array, guarded, kind, load, name_of, read_only
+from sfmrl.own_code import checked_array, guarded, kind, load, name_of, read_only, source
 
 RUNNING, SUCCESS, COLLISION, TIMEOUT = range(4)
 OUTCOMES = np.array(["running", "success", "collision", "timeout"])
@@ -134,7 +134,7 @@ def total(terms: Terms) -> np.ndarray:
 
 
 def _own_terms(own: OwnReward, settings: Reward, name: str) -> Callable[[Transition], Terms]:
-    who, file = f"reward {name}", own.__code__.co_filename if hasattr(own, "__code__") else ""
+    who, file = f"reward {name}", source(own)
 
     def terms(transition: Transition) -> Terms:
         paid = guarded(who, "failed", file, lambda: own(read_only(transition), settings))

@@ -1,0 +1,118 @@
+"""Policies that users write, by the name of their file: played like the built-in ones, with errors in one line."""
+
+import hashlib
+
+import numpy as np
+import pytest
+
+from sfmrl.config import ConfigError
+from sfmrl.episodes import play
+from sfmrl.own_code import code_digest
+from sfmrl.policies import load_policy
+from sfmrl.scenes import sample_scenes
+
+SCENES = sample_scenes("table1", 6)
+OWN = """\
+import numpy as np
+
+
+def straight(world, crowd_velocity):
+    way = world.goal[:, 0] - world.position[:, 0]
+    return way / np.hypot(way[:, :1], way[:, 1:]) * world.v_pref[:, :1]
+
+
+class Counting:
+    batch = 2
+
+    def begin(self, scenes, simulation):
+        self.worlds = []
+
+    def __call__(self, world, crowd_velocity):
+        self.worlds.append(len(world))
+        return straight(world, crowd_velocity)
+
+
+def make():
+    return Counting()
+
+
+def fails(world, crowd_velocity):
+    return world.speed
+
+
+def takes_one(world):
+    return straight(world, None)
+
+
+def one_for_all(world, crowd_velocity):
+    return np.zeros(2)
+
+
+def too_fast(world, crowd_velocity):
+    return 2 * straight(world, crowd_velocity)
+
+
+def overwrites(world, crowd_velocity):
+    world.position[:] = 0
+
+
+def makes_nothing():
+    return None
+
+
+number = 3
+"""
+
+
+@pytest.fixture
+def own(tmp_path):
+    path = tmp_path / "own.py"
+    path.write_text(OWN)
+    return path
+
+
+def test_it_plays_as_the_same_policy_inside_does(own):
+    record, expected = play(SCENES, f"{own}:straight"), play(SCENES, "linear")
+    np.testing.assert_array_equal(record.outcome, expected.outcome)
+    np.testing.assert_allclose(record.position, expected.position)
+    assert code_digest(f"{own}:straight") == hashlib.sha256(OWN.encode()).hexdigest()
+
+
+def test_what_a_function_makes_keeps_its_batch_and_its_beginning(own):
+    policy = load_policy(f"{own}:make()")
+    play(SCENES, policy)
+    assert max(policy.worlds) == 2
+    np.testing.assert_array_equal(play(SCENES, policy).position, play(SCENES, f"{own}:straight").position)
+
+
+def test_a_module_is_found_by_its_name(own, monkeypatch):
+    monkeypatch.syspath_prepend(own.parent)
+    np.testing.assert_array_equal(play(SCENES, "own:straight").position, play(SCENES, f"{own}:straight").position)
+
+
+@pytest.mark.parametrize(
+    ("name", "error"),
+    [
+        ("fails", r"own.py:fails \(line 25\) failed: AttributeError: 'World' object has no attribute 'speed'"),
+        ("takes_one", r"own.py:takes_one failed: .*; define it with two arguments, \(world, crowd_velocity\)"),
+        ("one_for_all", r"own.py:one_for_all \(line 32\) returned an array of shape \(2,\); it must .* shape \(6, 2\)"),
+        ("too_fast", r"own.py:too_fast returned a velocity of 2 m/s; it must return none above v_pref, 1 m/s"),
+        ("overwrites", r"own.py:overwrites \(line 41\) failed: .* read-only: work on a copy"),
+        ("makes_nothing()", r"own.py:makes_nothing\(\) returned None; it must return a policy"),
+        ("strait", r"own.py has no function 'strait'; did you mean straight"),
+        ("number", r"own.py has no function 'number'"),
+    ],
+)
+def test_a_slip_is_one_line_with_its_place(own, name, error):
+    with pytest.raises(ConfigError, match=error) as raised:
+        play(SCENES, f"{own}:{name}")
+    assert "\n" not in str(raised.value)
+    assert str(raised.value).startswith("policy ")
+
+
+def test_a_file_that_is_missing_or_broken_is_named(tmp_path):
+    with pytest.raises(ConfigError, match=r"policy nowhere.py:f: there is no file nowhere.py"):
+        load_policy("nowhere.py:f")
+    (tmp_path / "broken.py").write_text("def f(:\n")
+    with pytest.raises(ConfigError, match=r"broken.py:f \(line 1\) cannot be imported: SyntaxError"):
+        load_policy(f"{tmp_path / 'broken.py'}:f")
