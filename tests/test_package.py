@@ -23,7 +23,7 @@ CORE = (
     *("exploration", "imitation", "reinforcement"),
 )
 # The wings: a folder imports the core and the wings before it.
-WINGS = ("orca", "fast", "recovery", "maps", "runs", "replay", "study", "lessons", "cli")
+WINGS = ("orca", "fast", "recovery", "maps", "runs", "replay", "envs", "study", "lessons", "cli")
 # The two that the core uses import these of its files alone.
 KERNELS = {"orca": {"geometry"}, "fast": {"config", "states"}}
 # Inside a function: where a name may be that of a map or of a trained network, for recovery, and for notebooks.
@@ -33,7 +33,12 @@ LATER = {
     "evaluation": {"recovery", "replay.picture"},
     "episodes": {"replay.picture"},
 }
-EXTRAS = {"jobs": {"ray"}, "plots": {"matplotlib"}}  # what optional extras install, and the files that use it
+EXTRAS = {  # what optional extras install, and the files that use it
+    "jobs": {"ray"},
+    "plots": {"matplotlib"},
+    "environments": {"gymnasium"},
+    "sb3": {"stable_baselines3"},
+}
 WITH_TORCH = {"network"}
 PACKAGE = sorted((ROOT / "sfmrl").rglob("*.py"))
 MODELS = sorted((ROOT / "sfmrl" / "models").iterdir())
