@@ -288,3 +288,17 @@ def test_stable_baselines3_is_given_how_episodes_ended():
     assert [info["episode_number"] for info in infos] == [start, start + 1, start + 2]
     assert [info["episode_number"] for info in venv.reset_infos] == [start + 3, start + 4, start + 5]
     assert (infos[0]["terminal_observation"]["elements"] != observation["elements"][0]).any()
+
+
+def test_a_saved_agent_of_stable_baselines_plays_by_the_name_of_its_file(tmp_path, sfmrl):
+    envs = gymnasium.make_vec("sfmrl.envs:sfmrl/Crowd-v0", num_envs=4)
+    PPO("MultiInputPolicy", as_sb3(envs), n_steps=4, batch_size=16, seed=0).save(tmp_path / "ppo.zip")
+    (tmp_path / "ppo.py").write_text(
+        "from stable_baselines3 import PPO\n"
+        "from sfmrl.envs import observe, robot_velocity\n\n\n"
+        "def make():\n"
+        '    model = PPO.load("ppo.zip", device="cpu")\n'
+        "    return lambda world, _: robot_velocity(world, model.predict(observe(world), deterministic=True)[0])\n"
+    )
+    done = sfmrl("eval", "ppo.py:make()", "--episodes", 3, "--json")
+    assert done.returncode == 0, done.stderr
