@@ -12,7 +12,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import get_args
@@ -23,10 +23,10 @@ import torch
 import typer
 from conftest import ROOT, environment
 
-from sfmrl import __version__, cli
+from sfmrl import __version__, cli, config
 from sfmrl.cli import app, completion, main
-from sfmrl.cli.session import on_run
-from sfmrl.config import Config, ConfigError, Imitation, Planner, Reinforcement, Reward, Simulation
+from sfmrl.cli.train import on_run
+from sfmrl.config import Config, ConfigError, Reward, override
 from sfmrl.fast import Sizes, as_fast
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import POLICIES
@@ -196,7 +196,10 @@ def test_a_model_s_odd_card_is_one_error(in_process: Call, monkeypatch, tmp_path
         assert_one_line_error(in_process(*words), "not what sfmrl came with; install sfmrl again")
 
 
-@pytest.mark.parametrize("section", [Simulation, Reward, Planner, Imitation, Reinforcement, SocialForce, Config])
+SECTIONS = [each for each in (*vars(config).values(), SocialForce) if isinstance(each, type) and is_dataclass(each)]
+
+
+@pytest.mark.parametrize("section", SECTIONS)
 def test_every_number_of_the_config_has_both_ends_and_takes_nothing_beyond(section):
     for item in fields(section):
         if isinstance(item.default, (int, float)) and not isinstance(item.default, bool):
@@ -211,7 +214,6 @@ WRONG_USE = [
     (("eval", "orac"), ("there is no policy orac", "linear, orca, sfm", "did you mean orca?")),
     (("eval", "runs/none"), ("there is no policy runs/none",)),
     (("eval", "orca", "--episode", "5"), ("--episode", "--episodes")),
-    (("eval", "orca", "--episodes", "many"), ("--episodes",)),
     (("eval", "orca", "--episodes", "0"), ("--episodes",)),
     (("eval", "orca", "--environment", "7"), ("there is no environment '7'", "table1")),
     (("eval", "orca", "--environment", ""), ("there is no environment ''",)),
@@ -224,12 +226,9 @@ WRONG_USE = [
     (("table", "1", "--seeds", "0-\u00b2"), ("--seeds",)),
     (("eval", "orca", "--reward", "smf"), ("there is no reward 'smf'", "did you mean sfm?")),
     (("eval", "orca", "--crowd", "orka"), ("crowd is 'orka'; choose orca, sfm", "did you mean orca?")),
-    (("eval", "orca", "--time-limit", "inf"), ("time-limit",)),
-    (("eval", "orca", "--time-step", "nan"), ("time-step",)),
     (("eval", "orca", "--csv", "no/such/folder.csv"), ("no folder no/such",)),
     (("eval", "orca", "--episodes", "2", "--csv", ".", "--overwrite"), (". is not a regular file",)),
     (("eval", "orca", "--humans", "0.5"), ("--humans", "integer")),
-    (("compare", "orca", "sfm", "--human-speed", "nan"), ("--human-speed",)),
     (("eval", "orca", "--environment", "map-rooms"), ("there is no environment 'map-rooms'", "did you mean map-room?")),
     (("eval", "orca", "--recover", "--resolution", "0"), ("resolution",)),
     (("eval", "."), (". is not a run folder",)),
@@ -237,8 +236,6 @@ WRONG_USE = [
     (("il", "--variant", "sarl-sfn"), ("there is no variant 'sarl-sfn'", "did you mean sarl-sfm?")),
     (("il", "--preset", "papre"), ("did you mean paper?",)),
     (("il", "--seed", "-1"), ("seed is -1",)),
-    (("il", "--learning-rate", "nan"), ("learning-rate",)),
-    (("il", "--resume", "nowhere"), ("nowhere does not exist",)),
     (("il", "--resume", "nowhere", "--seed", "1"), ("--resume takes every setting",)),
     (("rl",), ("no finished imitation run", "sfmrl il --preset quick --seed 0", "--from-scratch")),
     (("rl", "--preset", "paper", "--seed", "3"), ("sfmrl il --preset paper --seed 3",)),
@@ -259,6 +256,11 @@ WRONG_USE = [
     (("verify", ".", "--tolerance", "2"), ("--tolerance is 2.0; it must be at most 1",)),
     (("figure", "1", "--preset", "papre"), ("choose paper, quick",)),
     (("doctor", "--hlp"), ("--help",)),
+    (("rl", "--reward", "sfmm"), ("did you mean sfm?",)),  # before the missing imitation run is an error
+    (("rl", "--environment", "7"), ("there is no environment '7'",)),
+    (("rl", "--tme-step", "1"), ("--tme-step", "--time-step")),
+    (("il", "--threads", "1"), ("No such option: --threads", "sfmrl il --help")),
+    (("runs", "nowhere"), ("there is no folder nowhere",)),
 ]
 
 
@@ -274,21 +276,12 @@ class Begun(Exception):
 
 def numbers(command: Callable) -> list[str]:
     """The options of a command that take a number, by its own declaration."""
-    found = []
-    for name, parameter in inspect.signature(command).parameters.items():
-        kinds = set(get_args(get_args(parameter.annotation)[0]) or get_args(parameter.annotation)[:1])
-        flags = get_args(parameter.annotation)[1].param_decls or ("--" + name.replace("_", "-"),)
-        if kinds & {int, float} and name != "number":
-            found.append(flags[0])
-    return found
+    kinds = {name: parameter.annotation for name, parameter in inspect.signature(command).parameters.items()}
+    found = [name for name, kind in kinds.items() if {int, float} & {kind, *get_args(kind)} and name != "number"]
+    return [f"--{name.replace('_', '-')}" for name in found]
 
 
-FUNCTIONS = {
-    function.name or function.callback.__name__: function.callback
-    for group in app.registered_groups
-    for function in group.typer_instance.registered_commands
-}
-NUMBERS = {name: numbers(function) for name, function in FUNCTIONS.items()}
+NUMBERS = {command.name: numbers(command.callback) for command in app.registered_commands}
 NEEDED = {"compare": ["orca", "linear"], "verify": ["nowhere"], "table": ["1"], "figure": ["1"]}
 NO_NUMBER = ("nan", "inf", "-inf", "1e308", str(2**63), "9" * 4000, "9" * 5000, "", "x")
 
@@ -299,14 +292,8 @@ def test_no_option_takes_what_is_no_number_or_far_too_large(in_process: Call, mo
         raise Begun
 
     monkeypatch.setattr(cli, "app", typer.main.get_command(app))  # built once
-    for module, function in (
-        ("train", "new_config"),
-        ("test", "choose"),
-        ("watch", "choose"),
-        ("teach", "choose"),
-        ("study", "_train"),
-    ):
-        monkeypatch.setattr(f"sfmrl.cli.{module}.{function}", begin)
+    for function in ("train.TrainingOptions.new_config", "session.TestOptions.choose", "study._train"):
+        monkeypatch.setattr(f"sfmrl.cli.{function}", begin)
     for option in NUMBERS[name]:
         for value in NO_NUMBER:
             done = in_process(name, *NEEDED.get(name, []), option, value)
@@ -454,16 +441,8 @@ def test_scenes_are_drawn_without_playing(sfmrl: Call):
 
 
 @pytest.mark.parametrize("command", ["", *COMMANDS])
-def test_help_answers_without_numpy_or_torch(command):
-    code = (
-        "import runpy, sys\n"
-        f"sys.argv = ['sfmrl', *{command.split()!r}, '--help']\n"
-        "try: runpy.run_module('sfmrl', run_name='__main__')\n"
-        "except SystemExit as end: assert not end.code, end.code\n"
-        "print(sorted({'numpy', 'torch'} & set(sys.modules)), file=sys.stderr)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+def test_help_answers_without_numpy_or_torch(command, tmp_path: Path):
+    done = importing(tmp_path, *command.split(), "--help")
     assert done.stderr.strip() == "[]"
     assert "Usage" in done.stdout
     if command:
@@ -471,10 +450,37 @@ def test_help_answers_without_numpy_or_torch(command):
         assert "Example: sfmrl" in done.stdout
 
 
-@pytest.mark.parametrize("command", ["", *COMMANDS])
-def test_help_fits_into_80_columns(command, in_process: Call, monkeypatch):
+def importing(folder: Path, *words: str) -> subprocess.CompletedProcess:
+    """Call the command; the last line of its standard error lists which of NumPy and torch it has imported."""
+    code = (
+        "import sys\n"
+        "from sfmrl.cli import main\n"
+        f"sys.argv = ['sfmrl', *{words!r}]\n"
+        "try: main()\n"
+        "finally: print(sorted({'numpy', 'torch'} & set(sys.modules)), file=sys.stderr)"
+    )
+    call = [sys.executable, "-c", code]
+    done = subprocess.run(call, env=environment(), cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def help_lines(in_process: Call, monkeypatch, *words: str) -> list[str]:
+    """A help in 80 columns."""
     monkeypatch.setenv("COLUMNS", "80")
-    lines = in_process(*command.split(), "--help").stdout.splitlines()
+    done = in_process(*words)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout.splitlines()
+
+
+WITH_SETTINGS = [name for name, command in COMMANDS.items() if "--help-all" in str([p.opts for p in command.params])]
+
+
+@pytest.mark.parametrize("words", [["--help"], *([name, "--help"] for name in COMMANDS)], ids=" ".join)
+def test_help_fits_into_80_columns(words, in_process: Call, monkeypatch):
+    lines = help_lines(in_process, monkeypatch, *words)
+    if words[0] in WITH_SETTINGS:
+        lines += help_lines(in_process, monkeypatch, words[0], "--help-all")
     assert max(map(len, lines)) <= 80
     assert not [line for line in lines if "…" in line]  # an option's name cut off
     prose = [line.rstrip() for line in lines[3 : next(n for n, line in enumerate(lines) if line.startswith("╭"))]]
@@ -484,16 +490,23 @@ def test_help_fits_into_80_columns(command, in_process: Call, monkeypatch):
     assert not short  # lines that end where the docstring's did
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [(("--reward", "sfmm"), "did you mean sfm?"), (("--environment", "7"), "there is no environment '7'")],
-)
-def test_a_wrong_name_is_an_error_before_a_missing_imitation_run_is(words, said, in_process: Call):
-    assert_one_line_error(in_process("rl", *words), said)
+@pytest.mark.parametrize("name", WITH_SETTINGS)
+def test_help_shows_the_common_options_at_a_glance_and_help_all_every_one(name, in_process: Call, monkeypatch):
+    short, whole = (help_lines(in_process, monkeypatch, name, flag) for flag in ("--help", "--help-all"))
+    options = [line for line in short if line.startswith("│")]
+    assert len(options) <= 40
+    shown = re.findall(r"^│ +(--\S+)", "\n".join(short), re.MULTILINE)
+    assert {"--reward", "--environment", "--seed", "--[no-]recover", "--overwrite"} <= set(shown)
+    last = f"sfmrl {name} --help-all shows all {len(COMMANDS[name].params)} options, by section."
+    assert " ".join("".join(short).split()).endswith(last)
+    every = {option.opts[0] for option in COMMANDS[name].params if option.opts[0].startswith("--")}
+    listed = re.findall(r"^│ +(--\S+)", "\n".join(whole), re.MULTILINE)
+    assert {flag.replace("[no-]", "") for flag in listed} == every | {"--help"}
+    assert any("─ Simulation ─" in line for line in whole)
 
 
-def test_help_shows_the_config_s_own_defaults(sfmrl: Call):
-    text = re.sub(r"[\s│]+", " ", sfmrl("rl", "--help").stdout)
+def test_help_shows_the_config_s_own_defaults(in_process: Call):
+    text = re.sub(r"[\s│]+", " ", in_process("rl", "--help-all").stdout)
     paper, quick = (make_config(preset).reinforcement for preset in ("paper", "quick"))
     for words in (
         f"training episodes (paper {paper.episodes}, quick {quick.episodes})",
@@ -569,16 +582,8 @@ def test_runs_that_cannot_be_read_do_not_keep_sfmrl_from_greeting(in_process: Ca
 
 @pytest.mark.parametrize("words", [[], ["--version"]])
 def test_greeting_and_version_need_neither_numpy_nor_torch(tmp_path: Path, words):
-    code = (
-        "import sys\n"
-        "from sfmrl.cli import main\n"
-        f"sys.argv = ['sfmrl', *{words!r}]\n"
-        "try: main()\n"
-        "finally: print(sorted({'numpy', 'torch'} & set(sys.modules)), file=sys.stderr)"
-    )
-    call = [sys.executable, "-c", code]
-    done = subprocess.run(call, env=environment(), cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "[]\n")
+    done = importing(tmp_path, *words)
+    assert done.stderr == "[]\n"
     assert done.stdout.startswith(f"sfmrl {__version__}")
 
 
@@ -587,16 +592,7 @@ def test_greeting_and_version_need_neither_numpy_nor_torch(tmp_path: Path, words
     ["eval sarl --episodes 1", "ascii-render sarl --frames 1", "compare sarl orca --episodes 1", "explain sarl-sfm6"],
 )
 def test_networks_are_played_and_explained_without_torch(tmp_path: Path, words):
-    code = (
-        "import sys\n"
-        "from sfmrl.cli import main\n"
-        f"sys.argv = ['sfmrl', *{words.split()!r}]\n"
-        "try: main()\n"
-        "finally: print('torch' in sys.modules, file=sys.stderr)"
-    )
-    call = [sys.executable, "-c", code]
-    done = subprocess.run(call, env=environment(), cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr.splitlines()[-1]) == (0, "False")
+    assert importing(tmp_path, *words.split()).stderr.splitlines()[-1] == "['numpy']"
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -644,3 +640,87 @@ def test_too_little_memory_is_one_line_with_what_helps(in_process: Call, monkeyp
     assert "out of memory" in done.stderr
     assert "--time-limit" in done.stderr
     assert "20 episodes of up to 3997 steps" in done.stderr
+
+
+def listed_runs(done: subprocess.CompletedProcess) -> dict[str, list[str]]:
+    """What `sfmrl runs` prints of each run, by folder."""
+    assert (done.returncode, done.stderr) == (0, "")
+    assert max(map(len, done.stdout.splitlines())) <= 80
+    heads, *rows = (line.split() for line in done.stdout.splitlines())
+    assert heads == ["folder", "kind", "variant", "seed", "state", "success"]
+    return {row[0]: row[1:] for row in rows}
+
+
+def test_runs_are_listed_a_line_each_with_state_and_success(in_process: Call, monkeypatch, tmp_path: Path):
+    monkeypatch.setenv("COLUMNS", "80")
+    for name in ("il", "stopped", "running", "done", "cut", "gone", "lost"):
+        create_run("il" if name == "il" else "rl", make_config(variant="sarl-sfm2", seed=7), Path("runs", name))
+    for name in ("il", "done"):
+        Path("runs", name, "weights.npz").touch()
+    Path("runs/done/result.json").write_text(json.dumps({"success": 0.5, "with_recovery": {"success": 0.75}}))
+    Path("runs/cut/run.json").write_text('{"kind": "rl", ')
+    Path("runs/gone/config.json").unlink()
+    Path("runs/lost/result.json").write_text("[]")
+    Path("runs/nothing").mkdir()
+    with locked(tmp_path / "runs" / "running"):
+        found = listed_runs(in_process("runs"))
+    assert found == {
+        "runs/il": ["il", "sarl-sfm2", "7", "done", "-"],
+        "runs/stopped": ["rl", "sarl-sfm2", "7", "stopped", "-"],
+        "runs/running": ["rl", "sarl-sfm2", "7", "running", "-"],
+        "runs/done": ["rl", "sarl-sfm2", "7", "done", "0.750"],
+        "runs/cut": ["-", "-", "-", "damaged", "-"],
+        "runs/gone": ["rl", "sarl-sfm2", "-", "damaged", "-"],
+        "runs/lost": ["rl", "sarl-sfm2", "-", "damaged", "-"],
+    }
+    assert list(found) == ["runs/cut", "runs/lost", "runs/gone", "runs/done", "runs/running", "runs/stopped", "runs/il"]
+
+
+def test_runs_of_a_folder_are_listed_and_of_none_it_is_said(in_process: Call, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert "no run in runs; sfmrl il makes one" in in_process("runs").stderr
+    create_run("il", Config(), Path("mine", "z" * 70))
+    long = in_process("runs", "mine").stdout
+    assert max(map(len, long.splitlines())) <= 80
+    assert long.count("z") == 70  # it is not cut off
+
+
+def config_of(in_process: Call, monkeypatch, *words: str) -> Config:
+    """The config that a training would begin with."""
+    taken = []
+
+    def begin(run, work):
+        taken.append(run.config)
+        raise Begun
+
+    monkeypatch.setattr("sfmrl.cli.train._train", begin)
+    with pytest.raises(Begun):
+        in_process(*words)
+    return taken[0]
+
+
+def test_a_config_file_gives_the_settings_and_options_override_it(in_process: Call, monkeypatch):
+    begun = make_config("paper", "sarl-sfm4", seed=5, discount=0.8, simulation={"time_limit": 20.0})
+    Path("config.json").write_text(begun.to_json())
+    training = ("rl", "--from-scratch", "--config", "config.json")
+    assert config_of(in_process, monkeypatch, *training) == begun
+    il = config_of(in_process, monkeypatch, "il", "--config", "config.json", "--epochs", "3", "--time-limit", "15")
+    assert il == override(begun, {"imitation": {"epochs": 3}, "simulation": {"time_limit": 15.0}})
+    # A variant and a preset override all that variants and presets decide, and nothing else.
+    kept = {"seed": 5, "discount": 0.8, "simulation": {"time_limit": 20.0}}
+    assert config_of(in_process, monkeypatch, *training, "--variant", "sarl") == make_config("paper", "sarl", **kept)
+    quick = config_of(in_process, monkeypatch, *training, "--preset", "quick", "--seed", "6")
+    assert quick == make_config("quick", "sarl-sfm4", **kept | {"seed": 6})
+
+
+def test_a_config_file_that_cannot_be_used_is_one_line(in_process: Call):
+    Path("mine.py").write_text("def mine(transition, settings):\n    return 0 * transition.time\n")
+    for text, said in (("{", "it is not JSON"), ('{"sed": 1}', "did you mean seed?"), ('{"seed": -1}', "seed is -1")):
+        Path("config.json").write_text(text)
+        assert_one_line_error(in_process("il", "--config", "config.json"), "config.json cannot be used", said)
+    assert_one_line_error(in_process("il", "--config", "none.json"), "there is no file none.json")
+    assert_one_line_error(in_process("il", "--config", "."), "name a file")
+    assert_one_line_error(in_process("il", "--resume", "x", "--config", "config.json"), "takes every setting")
+    Path("config.json").write_text(json.dumps({"reward": {"reward": "mine.py:mine"}}))
+    assert_one_line_error(in_process("il", "--config", "config.json"), "mine.py:mine", "--trust-reward")
+    assert not Path("runs").exists()

@@ -16,7 +16,7 @@ from sfmrl.runs.folders import WEIGHTS, finished
 from sfmrl.runs.progress import Interrupted, StopSignal
 from sfmrl.study.jobs import Failed, Job, Processes, RayWorkers, pack, run_jobs, unpack
 
-TINY_IL = ("--episodes", "12", "--epochs", "1", "--threads", "1")
+TINY_IL = ("--episodes", "12", "--epochs", "1")
 TINY_RL = ("--episodes", "16", "--validation-episodes", "4", "--test-episodes", "4", "--no-recover", "--threads", "1")
 
 

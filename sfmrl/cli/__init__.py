@@ -4,40 +4,34 @@ Exit codes: 0 done, 1 failed, 2 wrong use, 130 interrupted (by Ctrl-C, SIGTERM o
 by the commands that need them.
 """
 
-import inspect
 import os
-import re
 import sys
-from typing import Annotated
 
 import typer
 
 from sfmrl import __version__
-from sfmrl.cli import study, teach, test, train, watch
+from sfmrl.cli import lists, study, teach, test, train, watch  # noqa: F401 (they register their commands)
 from sfmrl.cli.console import say, say_result
+from sfmrl.cli.options import app
 from sfmrl.config import ConfigError
 from sfmrl.runs.files import DamagedFile
 from sfmrl.runs.folders import as_words, finished, run_folders, unfinished
 from sfmrl.runs.progress import Interrupted
 
 INTERRUPTED = 130
-
-LONGEST = 1000  # characters of an error's line: a value that was given may have thousands
-
-app = typer.Typer(
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+LONGEST = 1000  # characters of an error's line: a given value may have thousands
+ORDER = (  # in which `sfmrl --help` lists the commands
+    *("il", "rl", "runs", "eval", "compare", "ascii-render"),
+    *("explain", "models", "table", "figure", "verify", "doctor"),
 )
-for commands in (train, test, watch, study, teach):
-    for command in commands.app.registered_commands:  # Typer would keep the line ends of all paragraphs but the first
-        command.help = re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(command.callback.__doc__))
-    app.add_typer(commands.app)
+
+app.registered_commands.sort(key=lambda command: ORDER.index(command.name))
 
 
 @app.callback(invoke_without_command=True)
 def start(
     context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False,
+    version: bool = typer.Option(False, "--version", help="Show the version and exit."),
 ) -> None:
     """Teach a robot to cross a crowd: imitate ORCA, then reinforce, with and without social forces."""
     if version:

@@ -1,40 +1,32 @@
-"""What the shell completes: names of policies, environments, rewards and runs; NumPy is imported where it is needed.
-
-Typer keeps those names that begin as the word that is typed.
-"""
+"""The names that the shell completes; Typer selects those that begin with the typed word. NumPy is imported late."""
 
 from collections.abc import Callable
 
 from sfmrl.runs.folders import finished, in_training, run_folders
-from sfmrl.variants import MIXES, VARIANTS
-
-Completion = Callable[[], list[str]]
+from sfmrl.variants import MIXES
 
 
-def among(*names: str) -> Completion:
+def among(*names: str) -> Callable[[], list[str]]:
     """Complete to one of these names."""
     return lambda: list(names)
 
 
-variants = among(*VARIANTS)
-
-
 def environments() -> list[str]:
-    """Return environments, and the mixes of the paper's tables."""
+    """Return the environments, and the mixes of the paper's tables."""
     from sfmrl.scenes import ENVIRONMENTS
 
     return [*ENVIRONMENTS, *MIXES]
 
 
 def rewards() -> list[str]:
-    """Return the rewards with a name."""
+    """Return the built-in rewards."""
     from sfmrl.rewards import REWARDS
 
     return list(REWARDS)
 
 
 def policies() -> list[str]:
-    """Return the policies with a name, networks that come with sfmrl, and the finished runs."""
+    """Return the built-in policies, the networks that come with sfmrl, and the finished runs."""
     from sfmrl.policies import POLICIES
     from sfmrl.runs.weights import model_names
 
@@ -47,10 +39,13 @@ def runs() -> list[str]:
 
 
 def unfinished_runs() -> list[str]:
-    """Return the runs that can be gone on with: no process is training them now."""
+    """Return the runs that can be resumed: unfinished, and not in training now."""
     return [folder.as_posix() for folder in run_folders() if not finished(folder) and not in_training(folder)]
 
 
 def imitation_runs() -> list[str]:
-    """Return the runs that a reinforcement can start from."""
+    """Return the finished imitation runs."""
     return [folder.as_posix() for folder in run_folders("il") if finished(folder)]
+
+
+KNOBS = {"reward": rewards, "environment": environments, "test_environment": environments}  # knobs with such names

@@ -1,7 +1,7 @@
 """What the commands print: results as tables on standard output, messages on standard error."""
 
+import json
 import os
-import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from sfmrl.config import ConfigError
-from sfmrl.runs.files import regular
+from sfmrl.runs.files import csv_text, regular, write_text
 
 WIDTH = 80  # columns of a table, at least
 MANY = 7  # rows of metrics; more have a line each
@@ -39,50 +39,16 @@ def say_result(text: str) -> None:
     out.print(text, markup=False, soft_wrap=True)
 
 
-def say_finding(finding: Any) -> None:
-    """Print a `lessons.Finding` on standard output, and what helps unless all is well.
+def say_json(content: Any) -> None:
+    """Print JSON on standard output."""
+    say_result(json.dumps(content, indent=2))
 
-    A line each where a program reads it; in a terminal, long ones are broken within their column.
-    """
+
+def say_finding(finding: Any) -> None:
+    """Print a `lessons.Finding` as a line on standard output, with the remedy unless all is well."""
     word, style = {True: ("ok", "green"), False: ("not ok", "bold red"), None: ("-", "dim")}[finding.ok]
     said = f"{finding.said}; {finding.remedy}" if finding.remedy and not finding.ok else finding.said
-    if not out.is_terminal:
-        say_result(f"{word:7}{finding.what:15} {said}")
-        return
-    table = Table.grid(padding=(0, 1, 0, 0))
-    for width in (6, 15, None):
-        table.add_column(width=width)
-    table.add_row(Text(word, style), Text(finding.what, "bold"), Text(said))
-    out.print(table)
-
-
-def replay_command(
-    policy: str | None,
-    place: tuple[str, Any] | None,
-    seed: int,
-    episode: int,
-    settings: dict[str, Any],
-    versus: str | None = None,
-    trust_reward: bool = False,
-) -> str:
-    """Return what to type to see a test episode; `place` is --environment or --map and its value, if any is needed."""
-    words = ["sfmrl", "ascii-render", *([policy] if policy else []), *(["--versus", versus] if versus else [])]
-    words += [*(place or ()), "--seed", seed, "--episode", episode, *as_options(settings)]
-    return shlex.join(map(str, words + ["--trust-reward"] * trust_reward))
-
-
-def as_options(settings: dict[str, Any]) -> list[str]:
-    """Return settings, nested as `config.override` takes them, as the words to type."""
-    words = []
-    for name, value in settings.items():
-        flag = name.replace("_", "-")
-        if isinstance(value, dict):
-            words += as_options(value)
-        elif isinstance(value, bool):
-            words.append(f"--{flag}" if value else f"--no-{flag}")
-        else:
-            words += [f"--{flag}", str(value)]
-    return words
+    out.print(Text.assemble((f"{word:7}", style), (f"{finding.what:15} ", "bold"), said), soft_wrap=True)
 
 
 def print_metrics(result: dict[str, Any], title: str) -> None:
@@ -136,10 +102,7 @@ def print_sheet(sheet: Any) -> None:
 
 
 def new_file(path: Path | None, flag: str, overwrite: bool) -> None:
-    """Check that a file that an option names can be written; raises ConfigError or DamagedFile where it cannot.
-
-    Without `overwrite`, it must not be there yet.
-    """
+    """Raise ConfigError or DamagedFile if an option's file cannot be written, or exists and `overwrite` is False."""
     if path is None:
         return
     if regular(path).exists() and not overwrite:
@@ -148,3 +111,9 @@ def new_file(path: Path | None, flag: str, overwrite: bool) -> None:
         raise ConfigError(f"there is no folder {path.parent} for --{flag} {path.name}")
     if not os.access(path.parent, os.W_OK):
         raise ConfigError(f"nothing can be written to folder {path.parent}; name another --{flag}")
+
+
+def save_rows(rows: list[dict[str, Any]], path: Path | None) -> None:
+    """Write rows to a CSV file, if one is given."""
+    if path:
+        write_text(path, csv_text(rows))

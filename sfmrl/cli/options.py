@@ -1,20 +1,29 @@
-"""Command-line options: those made from the config's knobs, whose defaults and help texts are written once, in
-`config.py`, and those that several commands share."""
+"""How commands declare their options, and which of them `--help` shows.
+
+Each parameter of a command is an option. A parameter whose type is a dataclass stands for one option a field: this is
+how commands share options. The parameter `settings` stands for the knobs of some sections of the config, whose
+defaults and help texts are written once, in `config.py`. Options without a section are those that most people use.
+"""
 
 import inspect
+import re
 from collections.abc import Callable
+from copy import copy
 from dataclasses import Field, fields, is_dataclass
 from functools import wraps
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
+from typer.core import TyperCommand
 
+from sfmrl import config
 from sfmrl.cli import completion
-from sfmrl.config import EPISODES, SEED, Config, checked, in_range
-from sfmrl.variants import MIXES, PRESETS, VARIANTS, make_config
+from sfmrl.config import Config, checked, in_range
+from sfmrl.variants import PRESETS, make_config
 
-# The sections of the config by the heading under which `--help` shows their knobs.
+KEYWORD = inspect.Parameter.KEYWORD_ONLY
+# The knobs that `--help` shows, in this order. The others appear under the heading of their section of the config.
+COMMON = ("preset", "reward", "forces", "environment", "episodes", "seed", "recover")
 TITLES = {
     "": "Task",
     "simulation": "Simulation",
@@ -23,112 +32,139 @@ TITLES = {
     "imitation": "Schedule",
     "reinforcement": "Schedule",
 }
-SWITCHES = "Switches"  # on-off knobs of all sections: their --no-... is a column of its own, too wide beside long names
 DEFAULTS = {preset: make_config(preset) for preset in PRESETS}
 
-
-def option(help: str, *flags: str, **extra: Any) -> Any:
-    """A Typer option whose help text says all there is to say of its default."""
-    return typer.Option(*flags, help=help, show_default=False, **extra)
+app = typer.Typer(pretty_exceptions_enable=False, context_settings={"help_option_names": ["-h", "--help"]})
 
 
-def number_option(help: str, low: float, high: float) -> Any:
+class Command(TyperCommand):
+    """A command whose `--help` shows the options without a section, and whose `--help-all` shows all of them."""
+
+    def format_help(self, context: Any, formatter: Any, everything: bool = False) -> None:
+        """Print the help."""
+        shown = copy(self)
+        shown.params = [_as_shown(each) for each in self.params if everything or not each.rich_help_panel]
+        if len(shown.params) < len(self.params):
+            shown.epilog += f"\n\n{context.command_path} --help-all shows all {len(self.params)} options, by section."
+        TyperCommand.format_help(shown, context, formatter)
+
+
+def _as_shown(parameter: Any) -> Any:
+    """A parameter as the help shows it: a flag without a type, and --x/--no-x as --[no-]x."""
+    shown = copy(parameter)
+    if getattr(parameter, "is_flag", False):
+        shown.metavar = ""
+    if parameter.secondary_opts:
+        shown.opts, shown.secondary_opts = [parameter.opts[0].replace("--", "--[no-]")], []
+    return shown
+
+
+def option(default: Any, help: str, *flags: str, **extra: Any) -> Any:
+    """A Typer option whose help text describes its default."""
+    return typer.Option(default, *flags, help=help, show_default=False, **extra)
+
+
+def number_option(default: float | None, help: str, low: float, high: float) -> Any:
     """A Typer option that takes a number from `low` to `high`."""
 
     def checked_value(parameter: typer.CallbackParam, value: float | None) -> float | None:
         return value if value is None else in_range(parameter.opts[0], value, low, high, whole=isinstance(value, int))
 
-    return option(help, callback=checked_value)
+    return option(default, help, callback=checked_value)
 
 
-Threads = Annotated[int | None, number_option("threads to use (default one a core)", 1, 1024)]
-Episodes = Annotated[int, number_option("test episodes (default 500)", 1, EPISODES)]
-Episode = Annotated[int, number_option("number of the test episode (default 0)", 0, 2**31 - 1)]
-Seed = Annotated[int, number_option("seed of the test episodes (default 0)", 0, SEED)]
-RunFolder = Annotated[Path | None, option("run folder to make (default a new one under runs/)")]
-Resume = Annotated[
-    Path | None,
-    option(
-        "go on with this run, to the same bits as if it had never stopped", autocompletion=completion.unfinished_runs
-    ),
-]
-Continue = Annotated[
-    bool, option("if --run is there already, go on with it; do nothing if it is finished", "--continue")
-]
-Overwrite = Annotated[bool, option("replace what is there already", "--overwrite")]
-Variant = Annotated[
-    str | None,
-    option(f"the paper's variant: {', '.join(VARIANTS)} (default sarl)", autocompletion=completion.variants),
-]
-PolicyName = Annotated[
-    str | None,
-    typer.Argument(
-        help="linear, orca, sfm, a model (sfmrl models), a run folder, a weights file (default the newest run)",
-        autocompletion=completion.policies,
-    ),
-]
-Environment = Annotated[
-    str | None,
-    option(
-        f"1 to 5, circle, circle5, maps, {', '.join(MIXES)} or shares, 1:0.7,2:0.3 (default the policy's test mix)",
-        autocompletion=completion.environments,
-    ),
-]
-TrustReward = Annotated[
-    bool,
-    option(
-        "run the Python code that a run or weights file names as its reward (default only what --reward names)",
-        "--trust-reward",
-    ),
-]
-
-MapFile = Annotated[
-    Path | None,
-    option("a text file that draws the scene: # squares, R robot, G its goal, 1-9 people, a-i their goals", "--map"),
-]
-Humans = Annotated[
-    int | None,
-    number_option(
-        "number of humans, on the circle, instead of the environment's own; from 11 on, its radius grows from 4 m by "
-        "0.4 m each, so that they start equally close (default the environment's)",
-        0,
-        200,
-    ),
-]
-HumanSpeed = Annotated[
-    float | None, number_option("preferred speed of the humans, m/s (default 1; the robot's is 1)", 0, 10)
-]
+def _show_all(context: typer.Context, asked: bool) -> None:
+    if asked:
+        context.command.format_help(context, context.make_formatter(), everything=True)
+        raise typer.Exit
 
 
-def settings_options(*sections: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command an option for every knob of some sections of the config ("" is its top level).
+HELP_ALL = option(False, "Show all options, by section, and exit.", "--help-all", is_eager=True, callback=_show_all)
+POLICY = typer.Argument(
+    None,
+    help="linear, orca, sfm, a model (sfmrl models), a run folder, a weights file (default the newest run)",
+    autocompletion=completion.policies,
+)
+MAP = option(
+    None, "text file that draws the scene: # squares, R robot, G its goal, 1-9 people, a-i their goals", "--map"
+)
+EPISODE = number_option(0, "number of the test episode (default 0)", 0, 2**31 - 1)
+EPISODES = number_option(500, "number of test episodes (default 500)", 1, config.EPISODES)
+JSON = option(False, "print JSON", "--json")
+OVERWRITE = option(False, "replace existing files", "--overwrite")
+THREADS = number_option(None, "threads to use (default one a core)", 1, 1024)
+TRUST_REWARD = option(
+    False,
+    "run the Python code that a run or weights file names as its reward (default only what --reward names)",
+    "--trust-reward",
+    rich_help_panel=TITLES["reward"],
+)
 
-    The command gets those that were set as its argument `settings`, nested as `config.override` takes them.
+
+def command(example: str, *sections: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Register a function as the command that the example shows, with the knobs of `sections` ("": the top level).
+
+    The function gets the knobs that were given as `settings`, nested as `config.override` takes them.
     """
 
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        knobs = [  # sections and their fields, one an option
-            (section, item)
-            for section in sections
-            for item in fields(_section(Config(), section))
-            if not is_dataclass(item.default_factory)
-        ]
-        parameters = [_parameter(section, item) for section, item in knobs]
-        own = [p for p in inspect.signature(command).parameters.values() if p.name != "settings"]
+    def register(function: Callable[..., None]) -> Callable[..., None]:
+        text = inspect.cleandoc(function.__doc__)
+        text = re.sub(r"(?<!\n)\n(?!\n)", " ", text)  # Typer would keep the line ends of all paragraphs but the first
+        how = {"cls": Command, "help": text, "epilog": f"Example: {example}"}
+        app.command(example.split()[1], **how)(_with_options(function, sections))
+        return function
 
-        @wraps(command)
-        def wrapper(**given: Any) -> None:
-            settings: dict[str, Any] = {}
-            for section, item in knobs:
-                if (value := given.pop(item.name)) is not None:
-                    (settings.setdefault(section, {}) if section else settings)[item.name] = checked(item, value)
-            command(**given, settings=settings)
+    return register
 
-        wrapper.__signature__ = inspect.Signature([*own, *parameters])
-        wrapper.__annotations__ = {p.name: p.annotation for p in (*own, *parameters)}
-        return wrapper
 
-    return decorate
+def _with_options(function: Callable[..., None], sections: tuple[str, ...]) -> Callable[..., None]:
+    """Return what Typer calls: it takes each option as a parameter, and calls `function` with groups and settings."""
+    knobs = _knobs(sections)
+    groups: dict[str, type] = {}
+    parameters: list[inspect.Parameter] = []
+    for parameter in inspect.signature(function).parameters.values():
+        if parameter.name == "settings":
+            parameters += [_parameter(section, item) for section, item in knobs]
+            parameters.append(inspect.Parameter("help_all", KEYWORD, default=HELP_ALL, annotation=bool))
+        elif is_dataclass(parameter.annotation):
+            groups[parameter.name] = parameter.annotation
+            parameters += inspect.signature(parameter.annotation).parameters.values()
+        else:
+            parameters.append(parameter)
+
+    @wraps(function)
+    def wrapper(**given: Any) -> None:
+        for name, group in groups.items():
+            given[name] = group(**{item.name: given.pop(item.name) for item in fields(group)})
+        given.pop("help_all", None)
+        if knobs:
+            given["settings"] = _settings(knobs, given)
+        function(**given)
+
+    wrapper.__signature__ = inspect.Signature([parameter.replace(kind=KEYWORD) for parameter in parameters])
+    wrapper.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return wrapper
+
+
+def _knobs(sections: tuple[str, ...]) -> list[tuple[str, Field]]:
+    """The fields of these sections of the config, each with its section; those in COMMON come first."""
+    knobs = [
+        (section, item)
+        for section in sections
+        for item in fields(_section(Config(), section))
+        if not is_dataclass(item.default_factory)
+    ]
+    return sorted(knobs, key=lambda knob: COMMON.index(knob[1].name) if knob[1].name in COMMON else len(COMMON))
+
+
+def _settings(knobs: list[tuple[str, Field]], given: dict[str, Any]) -> dict[str, Any]:
+    """Take the knobs out of the `given` options, and return those that were set, nested as the config is."""
+    settings: dict[str, Any] = {}
+    for section, item in knobs:
+        if (value := given.pop(item.name)) is not None:
+            place = settings.setdefault(section, {}) if section else settings
+            place[item.name] = checked(item, value)
+    return settings
 
 
 def _section(config: Config, name: str) -> Any:
@@ -136,28 +172,20 @@ def _section(config: Config, name: str) -> Any:
 
 
 def _parameter(section: str, item: Field) -> inspect.Parameter:
-    """The option of one knob: None where it is not given, its presets' values in the help text."""
-    shown = {preset: _text(getattr(_section(config, section), item.name)) for preset, config in DEFAULTS.items()}
-    alike = item.name == "preset" or len(set(shown.values())) == 1
-    default = f"default {shown['quick']}" if alike else ", ".join(f"{name} {value}" for name, value in shown.items())
-    choices = f" ({' | '.join(item.metadata['choices'])})" if item.metadata["choices"] else ""
-    flag, switch = item.name.replace("_", "-"), isinstance(item.default, bool)
+    """The option of a knob: None if it is not given; the help text says its value in each preset."""
+    values = {preset: _text(getattr(_section(config, section), item.name)) for preset, config in DEFAULTS.items()}
+    alike = item.name == "preset" or len(set(values.values())) == 1
+    default = f"default {values['quick']}" if alike else ", ".join(f"{name} {value}" for name, value in values.items())
+    choices, flag = item.metadata["choices"], item.name.replace("_", "-")
+    listed = f" ({' | '.join(choices)})" if choices else ""
     made = option(
-        f"{item.metadata['help']}{choices} ({default})",
-        f"--{flag}/--no-{flag}" if switch else f"--{flag}",
-        rich_help_panel=SWITCHES if switch else TITLES[section],
-        autocompletion=_completion(item.name, item.metadata["choices"]),
+        None,
+        f"{item.metadata['help']}{listed} ({default})",
+        f"--{flag}/--no-{flag}" if isinstance(item.default, bool) else f"--{flag}",
+        rich_help_panel=None if item.name in COMMON else TITLES[section],
+        autocompletion=completion.among(*choices) if choices else completion.KNOBS.get(item.name),
     )
-    kind = Annotated[type(item.default) | None, made]
-    return inspect.Parameter(item.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
-
-
-def _completion(name: str, choices: tuple[str, ...]) -> completion.Completion | None:
-    """What the shell completes a knob to; None where any number or text can follow."""
-    if choices:
-        return completion.among(*choices)
-    environments = completion.environments
-    return {"reward": completion.rewards, "environment": environments, "test_environment": environments}.get(name)
+    return inspect.Parameter(item.name, KEYWORD, default=made, annotation=type(item.default) | None)
 
 
 def _text(value: Any) -> str:

@@ -1,130 +1,93 @@
 """The commands that make the paper's tables and its validation figure: `sfmrl table`, `sfmrl figure`."""
 
-import json
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
-from sfmrl.cli.console import err, new_file, out, print_sheet, say, say_result
-from sfmrl.cli.options import Overwrite, number_option, option
+from sfmrl.cli import options
+from sfmrl.cli.console import err, new_file, out, print_sheet, save_rows, say, say_json, say_result
+from sfmrl.cli.options import command, number_option, option
 from sfmrl.config import ConfigError
-from sfmrl.runs.files import csv_text, write_text
+from sfmrl.runs.files import write_text
 from sfmrl.variants import make_config
 
-app = typer.Typer()
 
-Number = Annotated[int, typer.Argument(help="1 (environments 1 and 2) or 2 (environments 2 to 5)", min=1, max=2)]
-Seeds = Annotated[str, option("training seeds, 0-9 or 0,3,5-7 (default 0-9)")]
-Rows = Annotated[str | None, option("rows, as sarl,sarl-sfm6 (default all of the paper's)")]
-Preset = Annotated[str, option("schedule: quick or paper (default quick)")]
-Folder = Annotated[Path, option("where the run folders are (default runs/tables)")]
-TABLES_FOLDER = Path("runs/tables")
+@dataclass(frozen=True)
+class Selection:
+    """The options that select trainings of a table."""
+
+    number: int = typer.Argument(..., help="1 (environments 1 and 2) or 2 (environments 2 to 5)", min=1, max=2)
+    seeds: str = option("0-9", "training seeds, 0-9 or 0,3,5-7 (default 0-9)")
+    rows: str | None = option(None, "rows, as sarl,sarl-sfm6 (default all of the paper's)")
+    preset: str = option("quick", "schedule: quick or paper (default quick)")
+    folder: Path = option(Path("runs/tables"), "where the run folders are (default runs/tables)")
+    overwrite: bool = options.OVERWRITE
+
+    def rows_and_seeds(self) -> tuple[list[str], list[int]]:
+        """Return the names of the rows and the seeds; raises ConfigError on unknown rows, seeds or presets."""
+        from sfmrl.study.tables import parse_rows, parse_seeds
+
+        make_config(self.preset)
+        return parse_rows(self.number, self.rows), parse_seeds(self.seeds)
+
+    def finished(self) -> dict[str, Any]:
+        """Read the finished runs of each row that has some; raises ConfigError if there are none at all."""
+        from sfmrl.study.tables import read_row
+
+        rows, seeds = self.rows_and_seeds()
+        runs = {row: read_row(self.folder, self.number, self.preset, row, seeds) for row in rows}
+        if not any(runs.values()):
+            raise ConfigError(
+                f"{self.folder} holds no finished run of table {self.number}, {self.preset} preset; "
+                f"type sfmrl table {self.number} --preset {self.preset}, or name another --folder"
+            )
+        return {row: trained for row, trained in runs.items() if trained}
 
 
-@app.command(epilog="Example: sfmrl table 1 --seeds 0-4 --jobs 2")
+@command("sfmrl table 1 --seeds 0-4 --jobs 2")
 def table(
-    number: Number,
-    seeds: Seeds = "0-9",
-    rows: Rows = None,
-    preset: Preset = "quick",
-    folder: Folder = TABLES_FOLDER,
-    jobs: Annotated[int | None, number_option("trainings side by side (default one a core)", 1, 1024)] = None,
-    episodes: Annotated[
-        int | None, number_option("training episodes of each run (default the preset's)", 1, 10_000_000)
-    ] = None,
-    validation_interval: Annotated[
-        int | None, number_option("episodes between validations (default quick 250, paper 1000)", 1, 10_000_000)
-    ] = None,
-    on: Annotated[str, option("where to train: here, or ray (default here)")] = "here",
-    print_jobs: Annotated[bool, option("print the trainings as commands, and run none", "--print-jobs")] = False,
-    no_train: Annotated[bool, option("make the table from what is finished, train nothing", "--no-train")] = False,
-    as_json: Annotated[bool, option("print JSON", "--json")] = False,
-    csv: Annotated[Path | None, option("write a line a figure to this file")] = None,
-    markdown: Annotated[Path | None, option("write the tables to this file, as Markdown")] = None,
-    overwrite: Overwrite = False,
+    selection: Selection,
+    *,
+    jobs: int | None = number_option(None, "trainings side by side (default one a core)", 1, 1024),
+    episodes: int | None = number_option(None, "training episodes of each run (default the preset's)", 1, 10_000_000),
+    validation_interval: int | None = number_option(
+        None, "episodes between validations (default quick 250, paper 1000)", 1, 10_000_000
+    ),
+    on: str = option("here", "where to train: here, or ray (default here)"),
+    print_jobs: bool = option(False, "print the trainings as commands, and run none", "--print-jobs"),
+    no_train: bool = option(False, "make the table from finished trainings, train nothing", "--no-train"),
+    as_json: bool = options.JSON,
+    csv: Path | None = option(None, "write a line a figure to this file"),
+    markdown: Path | None = option(None, "write the tables to this file, as Markdown"),
 ) -> None:
     """Train and test the rows of one of the paper's tables, and show them beside the paper's figures.
 
     Give the same command again to go on after a stop; finished trainings are kept.
     """
-    from sfmrl.study.tables import figures, make_jobs, parse_rows, parse_seeds
+    from sfmrl.study.tables import make_jobs
 
-    chosen, numbers = parse_rows(number, rows), parse_seeds(seeds)
-    make_config(preset)  # raises ConfigError on a preset that is not there
+    rows, seeds = selection.rows_and_seeds()
     if on not in ("here", "ray"):
         raise ConfigError(f"--on {on}: choose here or ray")
-    new_file(csv, "csv", overwrite)
-    new_file(markdown, "markdown", overwrite)
-    trainings = make_jobs(number, preset, numbers, chosen, folder, episodes, validation_interval)
+    new_file(csv, "csv", selection.overwrite)
+    new_file(markdown, "markdown", selection.overwrite)
+    which = (selection.number, selection.preset, seeds, rows, selection.folder)
+    trainings = make_jobs(*which, episodes, validation_interval)
     if print_jobs:
         say_result("\n".join(job.command for job in trainings))
         return
     if not no_train:
         _train(trainings, on, jobs)
-    runs = _read(folder, number, preset, chosen, numbers)
-    wanted, finished = len(chosen) * len(numbers), sum(len(trained.seeds) for trained in runs.values())
-    if finished < wanted:
-        say(f"{wanted - finished} of {wanted} trainings are not finished, and left out")
-    _report(number, preset, {row: figures(trained) for row, trained in runs.items()}, as_json, csv, markdown)
-
-
-def _report(
-    number: int, preset: str, rows: dict[str, Any], as_json: bool, csv: Path | None, markdown: Path | None
-) -> None:
-    """Print the statistics of a table's rows, and write them to files."""
-    from sfmrl.study.sheets import csv_rows, sheets
-    from sfmrl.study.statistics import contrasts, summarise
-    from sfmrl.study.tables import TABLES
-
-    table = TABLES[number]
-    summary, effects = summarise(table, rows), contrasts(rows) if number == 1 else []
-    pages = sheets(summary, effects, f"Table {number}, {preset} preset, {table.test_episodes} test episodes")
-    if csv:
-        write_text(csv, csv_text(csv_rows(summary, effects)))
-    if markdown:
-        write_text(markdown, "\n".join(page.markdown() for page in pages))
-    if as_json:
-        what = {"table": number, "preset": preset, "environment": table.environment}
-        say_result(json.dumps(what | {"rows": summary, "contrasts": effects}, indent=2))
-        return
-    for page in pages:
-        print_sheet(page)
-
-
-@app.command(epilog="Example: sfmrl figure 1 --svg validation.svg")
-def figure(
-    number: Number,
-    seeds: Seeds = "0-9",
-    rows: Rows = None,
-    preset: Preset = "quick",
-    folder: Folder = TABLES_FOLDER,
-    csv: Annotated[Path | None, option("write a line a validation to this file")] = None,
-    svg: Annotated[Path | None, option("write the figure to this file, as SVG")] = None,
-    overwrite: Overwrite = False,
-) -> None:
-    """Draw validation success over the trainings of a table: mean over seeds, and its 95 % interval shaded."""
-    from rich.text import Text
-
-    from sfmrl.replay import Frame, to_svg
-    from sfmrl.study.curves import curve_rows, draw_curves
-    from sfmrl.study.tables import parse_rows, parse_seeds
-
-    make_config(preset)
-    new_file(csv, "csv", overwrite)
-    new_file(svg, "svg", overwrite)
-    lines = curve_rows(_read(folder, number, preset, parse_rows(number, rows), parse_seeds(seeds)))
-    if csv:
-        write_text(csv, csv_text(lines))
-    if svg:
-        picture = Frame(Text("\n").join(draw_curves(lines, 120, 48)), time=0.0)
-        write_text(svg, to_svg([picture], f"Validation success, table {number}, {preset} preset"))
-    for line in draw_curves(lines, max(out.width, 40), max(out.height - 2, 16)):
-        out.print(line if out.is_terminal else line.plain, highlight=False)
+    runs, wanted = selection.finished(), len(rows) * len(seeds)
+    if missing := wanted - sum(len(trained.seeds) for trained in runs.values()):
+        say(f"{missing} of {wanted} trainings are not finished, and left out")
+    _report(selection, runs, as_json, csv, markdown)
 
 
 def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:
-    """Run what is not finished yet; raises Interrupted, or exits with 1 where some failed."""
+    """Run the unfinished trainings; raises Interrupted, or exits with 1 if some failed."""
     from sfmrl.lookahead import available_cores
     from sfmrl.runs.progress import Interrupted, StopSignal, show_progress
     from sfmrl.study.jobs import Failed, Processes, RayWorkers, run_jobs
@@ -140,14 +103,46 @@ def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:
             raise typer.Exit(1) from None
 
 
-def _read(folder: Path, number: int, preset: str, rows: list[str], seeds: list[int]) -> dict[str, Any]:
-    """The finished runs of every row that has some; raises ConfigError where none has."""
-    from sfmrl.study.tables import read_row
+def _report(selection: Selection, runs: dict[str, Any], as_json: bool, csv: Path | None, markdown: Path | None) -> None:
+    """Print the statistics of a table's rows, and write them to files."""
+    from sfmrl.study.sheets import csv_rows, sheets
+    from sfmrl.study.statistics import contrasts, summarise
+    from sfmrl.study.tables import TABLES, figures
 
-    runs = {row: read_row(folder, number, preset, row, seeds) for row in rows}
-    if not any(runs.values()):
-        raise ConfigError(
-            f"{folder} holds no finished run of table {number}, {preset} preset; "
-            f"type sfmrl table {number} --preset {preset}, or name another --folder"
-        )
-    return {row: trained for row, trained in runs.items() if trained}
+    number, preset, paper = selection.number, selection.preset, TABLES[selection.number]
+    rows = {row: figures(trained) for row, trained in runs.items()}
+    summary, effects = summarise(paper, rows), contrasts(rows) if number == 1 else []
+    pages = sheets(summary, effects, f"Table {number}, {preset} preset, {paper.test_episodes} test episodes")
+    save_rows(csv_rows(summary, effects), csv)
+    if markdown:
+        write_text(markdown, "\n".join(page.markdown() for page in pages))
+    if as_json:
+        what = {"table": number, "preset": preset, "environment": paper.environment}
+        say_json(what | {"rows": summary, "contrasts": effects})
+        return
+    for page in pages:
+        print_sheet(page)
+
+
+@command("sfmrl figure 1 --svg validation.svg")
+def figure(
+    selection: Selection,
+    *,
+    csv: Path | None = option(None, "write a line a validation to this file"),
+    svg: Path | None = option(None, "write the figure to this file, as SVG"),
+) -> None:
+    """Draw validation success over the trainings of a table: mean over seeds, and its 95 % interval shaded."""
+    from rich.text import Text
+
+    from sfmrl.replay import Frame, to_svg
+    from sfmrl.study.curves import curve_rows, draw_curves
+
+    new_file(csv, "csv", selection.overwrite)
+    new_file(svg, "svg", selection.overwrite)
+    lines = curve_rows(selection.finished())
+    save_rows(lines, csv)
+    if svg:
+        picture = Frame(Text("\n").join(draw_curves(lines, 120, 48)), time=0.0)
+        write_text(svg, to_svg([picture], f"Validation success, table {selection.number}, {selection.preset} preset"))
+    for line in draw_curves(lines, max(out.width, 40), max(out.height - 2, 16)):
+        out.print(line if out.is_terminal else line.plain, highlight=False)

@@ -1,118 +1,221 @@
 """The commands that train: `sfmrl il`, `sfmrl rl`."""
 
 import shlex
-from dataclasses import asdict
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from sfmrl.cli import completion, options
-from sfmrl.cli.console import as_options, print_metrics, say
-from sfmrl.cli.options import option, settings_options
-from sfmrl.cli.session import (
-    already_finished,
-    drawn,
-    existing,
-    new_config,
-    on_run,
-    reopen,
-    say_habits,
-    train,
-    use_threads,
+from sfmrl.cli.console import err, print_metrics, say
+from sfmrl.cli.options import command, option
+from sfmrl.cli.session import as_options, drawn, exclude, say_habits
+from sfmrl.config import Config, ConfigError, override
+from sfmrl.runs.files import read_regular
+from sfmrl.runs.folders import as_words, finished
+from sfmrl.variants import PRESETS, VARIANTS, make_config
+
+VARIANT = option(
+    None,
+    "the paper's variant: sarl, or sarl-sfm to sarl-sfm6 (default sarl)",
+    autocompletion=completion.among(*VARIANTS),
 )
-from sfmrl.config import Config, ConfigError
-
-app = typer.Typer()
 
 
-@app.command(epilog="Example: sfmrl il --preset paper --seed 1")
-@settings_options("", "simulation", "reward", "planner", "imitation")
-def il(
-    variant: options.Variant = None,
-    run: options.RunFolder = None,
-    resume: options.Resume = None,
-    overwrite: options.Overwrite = False,
-    go_on: options.Continue = False,
-    trust_reward: options.TrustReward = False,
-    threads: options.Threads = None,  # as the other commands have it; ORCA and learning take one
-    *,
-    settings: dict[str, Any],
-) -> None:
+@dataclass(frozen=True)
+class TrainingOptions:
+    """The options that both trainings have."""
+
+    config: Path | None = option(None, "take the settings of this config.json of a run; other options override them")
+    run: Path | None = option(None, "run folder to make (default a new one under runs/)")
+    resume: Path | None = option(
+        None,
+        "go on with this run, to the same bits as if it had never stopped",
+        autocompletion=completion.unfinished_runs,
+    )
+    overwrite: bool = option(False, "replace the run in --run, if it exists", "--overwrite")
+    go_on: bool = option(False, "go on with the run in --run, if it exists; do nothing if it is finished", "--continue")
+    trust_reward: bool = options.TRUST_REWARD
+
+    def reopen(self, kind: str, *others: Any) -> Any:
+        """Open the run to resume; raises ConfigError if other options are given, since a run has its own settings."""
+        from sfmrl.own_code import trusted
+        from sfmrl.runs.run import open_run
+
+        if any((self.config, self.run, self.overwrite, self.go_on, *others)):
+            raise ConfigError(f"--resume takes every setting from {self.resume}; leave out the others")
+        run = open_run(self.resume, kind)
+        return replace(run, config=trusted(run.config, self.trust_reward))
+
+    def existing(self) -> dict[str, bool]:
+        """Return what `create_run` should do with an existing run; raises ConfigError if that is unclear."""
+        if self.go_on and self.run is None:
+            raise ConfigError("--continue needs the folder to go on with; name it with --run")
+        exclude({"--continue": self.go_on, "--overwrite": self.overwrite})
+        return {"overwrite": self.overwrite, "go_on": self.go_on}
+
+    def new_config(self, variant: str | None, settings: dict[str, Any]) -> Config:
+        """Return the config of a new training: that of --config, or of preset and variant, with settings changed."""
+        from sfmrl.own_code import absolute, trusted
+
+        preset = settings.pop("preset", None)
+        if name := settings.get("reward", {}).get("reward"):
+            settings["reward"]["reward"] = absolute(name)
+        if self.config is None:
+            return make_config(preset or "quick", variant or "sarl", **settings)
+        config = trusted(_read_config(self.config), self.trust_reward)
+        named = make_config(preset or config.preset, variant or "sarl")
+        for table in [PRESETS] * bool(preset) + [VARIANTS] * bool(variant):
+            for entry in table.values():
+                config = override(config, _values(named, entry))
+        return override(config, settings)
+
+
+def _read_config(path: Path) -> Config:
+    """Read a config.json; raises ConfigError if it cannot be used."""
+    if not path.exists():
+        raise ConfigError(f"there is no file {path} for --config; name the config.json of a run")
+    try:
+        return Config.from_json(read_regular(path))
+    except ValueError as error:
+        raise ConfigError(f"{path} cannot be used: {error}") from None
+
+
+def _values(config: Any, names: dict[str, Any]) -> dict[str, Any]:
+    """Return a config's values of the settings in `names`, which nests as the config does."""
+    return {
+        name: _values(getattr(config, name), inner) if isinstance(inner, dict) else getattr(config, name)
+        for name, inner in names.items()
+    }
+
+
+@command("sfmrl il --preset paper --seed 1", "", "simulation", "reward", "planner", "imitation")
+def il(variant: str | None = VARIANT, *, settings: dict[str, Any], training: TrainingOptions) -> None:
     """Imitation: learn from ORCA's demonstrations what situations are worth."""
     from sfmrl.runs.create import create_run
     from sfmrl.runs.training import run_imitation
 
-    if resume:
-        given = [variant, run, overwrite or None, go_on or None, *settings.values()]
-        current = reopen("il", resume, given, trust_reward)
+    if training.resume:
+        run = training.reopen("il", variant, settings)
     else:
-        current = create_run("il", new_config(variant, settings), run, **existing(run, overwrite, go_on))
-    if go_on and already_finished(current):
+        run = create_run("il", training.new_config(variant, settings), training.run, **training.existing())
+    if training.go_on and _already_finished(run):
         return
-    train(current, lambda progress, stop: run_imitation(current, progress, stop))
-    plain, made = asdict(Config()), asdict(current.config)
+    _train(run, lambda progress, stop: run_imitation(run, progress, stop))
+    plain, made = asdict(Config()), asdict(run.config)
     needed = {name: made[name] for name in ("preset", "seed") if made[name] != plain[name]}
     needed |= {name: value for name, value in made["simulation"].items() if value != plain["simulation"][name]}
-    following = ["sfmrl", "rl", "--reward", "sfm", "--from", str(current.folder), *as_options(needed)]
-    say(f"done: {current.folder}; next: {shlex.join(following)}, or {on_run('eval', current)}")
+    following = ["sfmrl", "rl", "--reward", "sfm", "--from", str(run.folder), *as_options(needed)]
+    say(f"done: {run.folder}; next: {shlex.join(following)}, or {on_run('eval', run)}")
 
 
-@app.command(epilog="Example: sfmrl rl --reward sfm --episodes 3000")
-@settings_options("", "simulation", "reward", "planner", "reinforcement")
+@command("sfmrl rl --reward sfm --episodes 3000", "", "simulation", "reward", "planner", "reinforcement")
 def rl(
-    variant: options.Variant = None,
-    source: Annotated[
-        Path | None,
-        option(
-            "imitation run, or weights file, to start from (default the newest run that fits)",
-            "--from",
-            autocompletion=completion.imitation_runs,
-        ),
-    ] = None,
-    from_scratch: Annotated[bool, option("start without imitation", "--from-scratch")] = False,
-    map_file: options.MapFile = None,
-    run: options.RunFolder = None,
-    resume: options.Resume = None,
-    overwrite: options.Overwrite = False,
-    go_on: options.Continue = False,
-    trust_reward: options.TrustReward = False,
-    threads: options.Threads = None,
+    variant: str | None = VARIANT,
     *,
     settings: dict[str, Any],
+    map_file: Path | None = options.MAP,
+    source: Path | None = option(
+        None,
+        "imitation run, or weights file, to start from (default the newest run that fits)",
+        "--from",
+        autocompletion=completion.imitation_runs,
+    ),
+    from_scratch: bool = option(False, "start without imitation", "--from-scratch"),
+    training: TrainingOptions,
+    threads: int | None = options.THREADS,
 ) -> None:
     """Reinforcement: deep V-learning on from what imitation gave, then a test."""
-    from sfmrl.maps import why_unsolvable
+    from sfmrl.lookahead import available_cores
     from sfmrl.runs.create import start_run
     from sfmrl.runs.training import run_reinforcement
-    from sfmrl.scenes import label, sample_scenes
+    from sfmrl.scenes import label
 
-    workers = use_threads(threads)
-    if resume:
-        flags = (from_scratch or None, overwrite or None, go_on or None)
-        current = reopen("rl", resume, [variant, source, map_file, run, *flags, *settings.values()], trust_reward)
+    if training.resume:
+        run = training.reopen("rl", variant, settings, map_file, source, from_scratch)
     else:
-        if source and from_scratch:
-            raise ConfigError("--from and --from-scratch exclude each other; leave out one of them")
-        schedule = settings.setdefault("reinforcement", {})
-        if environment := drawn(map_file, schedule.get("environment")):
-            schedule["environment"] = environment
-            schedule.setdefault("test_environment", environment)
-        config = new_config(variant, settings)
-        if map_file and (reason := why_unsolvable(sample_scenes(environment, [0]), config.simulation.time_limit)):
-            say(f"{map_file}: {reason}")
-        current = start_run(config, source, from_scratch, run, **existing(run, overwrite, go_on))
-    if go_on and already_finished(current):
+        exclude({"--from": source, "--from-scratch": from_scratch})
+        config = _new_config(variant, map_file, settings, training)
+        run = start_run(config, source, from_scratch, training.run, **training.existing())
+    if training.go_on and _already_finished(run):
         return
-    if current.imitation:
-        say(f"from imitation run {current.imitation}")
-    if weights := current.facts.get("weights"):
-        prior = "with" if current.config.value_prior else "without"
-        say(f"from the network in {weights['file']}, {prior} value-prior as there")
-        say_habits(Path(weights["file"]), current.config)
-    result = train(current, lambda progress, stop: run_reinforcement(current, progress, stop, say, threads=workers))
-    title = f"{current.folder}, environment {label(current.config.reinforcement.test_environment)}"
+    _say_start(run)
+    workers = threads or available_cores()
+    result = _train(run, lambda progress, stop: run_reinforcement(run, progress, stop, say, threads=workers))
+    title = f"{run.folder}, environment {label(run.config.reinforcement.test_environment)}"
     print_metrics(result, f"test of {title}, the network alone")
     if "with_recovery" in result:
         print_metrics(result["with_recovery"], f"test of {title}")
-    say(f"done: {current.folder}; next: {on_run('eval', current)}, {on_run('ascii-render', current)}")
+    say(f"done: {run.folder}; next: {on_run('eval', run)}, {on_run('ascii-render', run)}")
+
+
+def _new_config(
+    variant: str | None, map_file: Path | None, settings: dict[str, Any], training: TrainingOptions
+) -> Config:
+    """Return the config of a new reinforcement, which is tested where it trains unless another place is given."""
+    from sfmrl.maps import why_unsolvable
+    from sfmrl.scenes import sample_scenes
+
+    schedule = settings.setdefault("reinforcement", {})
+    if environment := drawn(map_file, schedule.get("environment")):
+        schedule["environment"] = environment
+        schedule.setdefault("test_environment", environment)
+    config = training.new_config(variant, settings)
+    if map_file and (reason := why_unsolvable(sample_scenes(environment, [0]), config.simulation.time_limit)):
+        say(f"{map_file}: {reason}")
+    return config
+
+
+def _say_start(run: Any) -> None:
+    """Say what a reinforcement starts from."""
+    if run.imitation:
+        say(f"from imitation run {run.imitation}")
+    if weights := run.facts.get("weights"):
+        prior = "with" if run.config.value_prior else "without"
+        say(f"from the network in {weights['file']}, {prior} value-prior as there")
+        say_habits(Path(weights["file"]), run.config)
+
+
+def on_run(command: str, run: Any) -> str:
+    """Return what to type to use a run, quoted for the shell, with --trust-reward if its reward is the user's own."""
+    return f"sfmrl {command} {as_words(run.folder)}"
+
+
+def _already_finished(run: Any) -> bool:
+    """Whether a training has finished; if so, say it, and remove checkpoints that a killed process left."""
+    from sfmrl.runs.run import sole_use
+
+    if not finished(run.folder):
+        return False
+    if run.checkpoints():
+        with sole_use(run):
+            pass
+    say(f"{run.folder} is finished already")
+    return True
+
+
+def _train(run: Any, work: Callable[..., Any]) -> Any:
+    """Train; raises Interrupted, which says how to go on, if a stop is requested."""
+    from sfmrl.own_code import reward_digest
+    from sfmrl.rewards import reward_terms
+    from sfmrl.runs.bits import machine_bits
+    from sfmrl.runs.progress import Interrupted, StopSignal, show_progress
+    from sfmrl.runs.run import sole_use
+
+    how = on_run(f"{run.kind} --resume", run)
+    if run.facts.get("own_reward") != reward_digest(run.config.reward):
+        raise ConfigError(f"{run.config.reward.reward} has changed since {run.folder} began; start a new run with it")
+    reward_terms(run.config.reward)  # raises an error that says why, if it cannot or must not be used
+    with sole_use(run), StopSignal(say) as stop:
+        if finished(run.folder):
+            next_step = f"test it with {on_run('eval', run)}, or begin another run"
+            raise ConfigError(f"{run.folder} is finished; there is nothing to go on with: {next_step}")
+        say(f"run folder {run.folder}")
+        if run.facts["versions"].get("bits", machine_bits()) != machine_bits():
+            say("the run began where other bits are computed: it will not end in those of an uninterrupted training")
+        try:
+            return work(show_progress(err), stop)
+        except (Interrupted, KeyboardInterrupt):
+            raise Interrupted(f"go on with: {how}") from None
+        except OSError as error:  # such as a full disk
+            raise OSError(error.errno, f"{error.strerror}; then go on with: {how}", error.filename) from None

@@ -31,7 +31,7 @@ WRITTEN = {*FIRST, *TABLES, WEIGHTS, BEST, DEMONSTRATIONS, SUMS, "weights.pt", "
 
 def run_folders(kind: str | None = None) -> list[Path]:
     """The folders under runs/ that hold a run (of this kind), newest first."""
-    return [folder for folder in _newest_first() if kind_of(folder) in ([kind] if kind else KINDS)]
+    return [folder for folder in newest_first() if kind_of(folder) in ([kind] if kind else KINDS)]
 
 
 def newest_run(say: Callable[[str], None]) -> Path:
@@ -39,7 +39,7 @@ def newest_run(say: Callable[[str], None]) -> Path:
 
     A folder with a damaged run.json is skipped, and named by `say` unless it is older than the run returned.
     """
-    for folder in filter(finished, _newest_first()):
+    for folder in filter(finished, newest_first()):
         try:
             read_listed(folder / "run.json")
         except (DamagedFile, OSError) as error:
@@ -50,9 +50,9 @@ def newest_run(say: Callable[[str], None]) -> Path:
     raise ConfigError("there is no finished run under runs/ yet: type sfmrl il, or name a policy, as sarl-sfm6 or orca")
 
 
-def _newest_first() -> list[Path]:
-    """The folders under runs/ with a run.json, newest first; one that states no time counts as the newest."""
-    folders = [path.parent for path in RUNS.glob("[!.]*/run.json")]
+def newest_first(place: Path = RUNS) -> list[Path]:
+    """The folders in `place` with a run.json, newest first; one that states no time counts as the newest."""
+    folders = [path.parent for path in place.glob("[!.]*/run.json")]
     return sorted(folders, key=lambda folder: (str(facts_of(folder).get("created", "unknown")), folder), reverse=True)
 
 

@@ -88,14 +88,15 @@ def make_jobs(
         changes += ["--environment", table.environment, "--test-episodes", str(table.test_episodes)]
     if number == 2 or episodes:
         changes += ["--episodes", str(length)]
-    going_on, jobs = ("--continue", "--threads", "1"), []
+    changes += ["--continue", "--threads", "1"]
+    jobs = []
     for seed in seeds:
         source, common = folder / f"{preset}-il-seed{seed}", ("--preset", preset, "--seed", str(seed))
-        jobs.append(Job(source, ("il", *common, "--run", str(source), *going_on)))
+        jobs.append(Job(source, ("il", *common, "--run", str(source), "--continue")))
         for row in rows:
             run = run_folder(folder, number, preset, row, seed)
             folders = ("--from", str(source), "--run", str(run))
-            jobs.append(Job(run, ("rl", "--variant", row, *common, *folders, *changes, *going_on), source, length))
+            jobs.append(Job(run, ("rl", "--variant", row, *common, *folders, *changes), source, length))
     return jobs
 
 
