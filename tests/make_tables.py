@@ -8,14 +8,13 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-from rich.text import Text
 
-from sfmrl.replay import Frame, to_svg
 from sfmrl.runs.files import csv_text
-from sfmrl.study.curves import curve_rows, draw_curves
+from sfmrl.study.plots import save, validation_figure
 from sfmrl.study.sheets import csv_rows, sheets
 from sfmrl.study.statistics import contrasts, summarise
 from sfmrl.study.tables import TABLES, Figures
+from sfmrl.study.validations import table_validations
 
 FOLDER = Path(__file__).parents[1] / "tutorials" / "results"
 
@@ -61,7 +60,7 @@ def figure_lines(preset: str) -> list[dict]:
             episodes=[int(line["episode"]) for line in lines],
             validation=np.array([[float(line[key]) for line in lines] for key in columns]),
         )
-    return curve_rows(courses)
+    return table_validations(courses)
 
 
 def texts() -> dict[Path, str]:
@@ -71,9 +70,7 @@ def texts() -> dict[Path, str]:
 
 
 if __name__ == "__main__":
-    picture = Frame(Text("\n").join(draw_curves(figure_lines("quick"), 120, 48)), time=0.0)
-    made = texts() | {
-        FOLDER / "figure1-quick.svg": to_svg([picture], "Validation success, table 1, quick preset"),
-    }
-    for path, text in made.items():
+    for path, text in texts().items():
         path.write_text(text)
+    for preset in ("quick", "paper"):
+        save(validation_figure(figure_lines(preset), f"Table 1, {preset} preset"), FOLDER / f"figure1-{preset}.svg")

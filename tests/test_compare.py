@@ -3,13 +3,15 @@
 import csv
 import json
 
+import numpy as np
 import pytest
 import scipy.stats
 
 from sfmrl.config import ConfigError
 from sfmrl.evaluation import evaluation_record
 from sfmrl.policies import POLICIES
-from sfmrl.study.compare import compare, comparison_sheets
+from sfmrl.study.compare import compare, comparison_sheets, social_sheet
+from sfmrl.study.social import SOCIAL_METRICS, social_metrics, social_values
 
 NAMES = ["orca", "linear", "sfm"]
 
@@ -50,6 +52,17 @@ def test_times_are_compared_where_both_succeed(records):
     theirs = scipy.stats.ttest_rel(*(r.time[both] for r in (records[2], records[0])))
     assert found["mean"] == pytest.approx((records[2].time - records[0].time)[both].mean())
     assert (found["low"], found["high"]) == pytest.approx(tuple(theirs.confidence_interval()))
+
+
+def test_social_metrics_are_compared_where_both_have_a_value(records):
+    found = compared(records)["policies"]
+    ours, theirs = (social_values(records[k])["danger_separation"] for k in (1, 0))
+    gap = (ours - theirs)[~np.isnan(ours) & ~np.isnan(theirs)]
+    assert found[0]["social"] == social_metrics(records[0])
+    assert found[1]["less_first"]["social"]["danger_separation"]["mean"] == pytest.approx(gap.mean())
+    lines = social_sheet(compared(records)).lines
+    assert [line["metric"] for line in lines] == list(SOCIAL_METRICS)
+    assert list(lines[0])[1:] == ["orca", "linear less orca", "sfm less orca"]
 
 
 def test_other_episodes_are_refused(records):

@@ -1,6 +1,7 @@
 """Policies that users write, by the name of their file: played like the built-in ones, with errors in one line."""
 
 import hashlib
+import json
 
 import numpy as np
 import pytest
@@ -116,3 +117,21 @@ def test_a_file_that_is_missing_or_broken_is_named(tmp_path):
     (tmp_path / "broken.py").write_text("def f(:\n")
     with pytest.raises(ConfigError, match=r"broken.py:f \(line 1\) cannot be imported: SyntaxError"):
         load_policy(f"{tmp_path / 'broken.py'}:f")
+
+
+def test_the_commands_play_it_and_name_the_file_that_they_ran(own, sfmrl):
+    words = ("--environment", "circle5", "--episodes", 4, "--json")
+    done = sfmrl("eval", f"{own}:straight", *words)
+    assert done.returncode == 0, done.stderr
+    mine, linear = json.loads(done.stdout), json.loads(sfmrl("eval", "linear", *words).stdout)
+    assert mine.pop("sha256") == {f"{own}:straight": code_digest(f"{own}:straight")}
+    assert mine.pop("policy") == f"{own}:straight"
+    assert linear.pop("policy") == "linear"
+    assert mine == linear
+    compared = json.loads(sfmrl("compare", "linear", f"{own}:make()", *words).stdout)
+    assert list(compared["sha256"]) == [f"{own}:make()"]
+    for command in ("ascii-render", "explain"):
+        shown = sfmrl(command, f"{own}:straight", "--environment", "circle5")
+        assert shown.returncode == 0, shown.stderr
+    wrong = sfmrl("eval", f"{own}:fails", *words)
+    assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1)

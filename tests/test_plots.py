@@ -67,3 +67,14 @@ def test_without_matplotlib_one_line_names_the_extra(monkeypatch):
     monkeypatch.delitem(sys.modules, "sfmrl.study.plots")
     with pytest.raises(ConfigError, match=r'pip install "sfmrl\[plot\]"'):
         __import__("sfmrl.study.plots")
+
+
+def test_the_command_draws_and_films_an_episode(sfmrl, tmp_path):
+    for name in ("a.pdf", "a.gif"):
+        done = sfmrl("plot", "orca", "--environment", "circle5", "--out", name)
+        assert (done.returncode, done.stderr) == (0, f"wrote {name}\n")
+    again = sfmrl("plot", "orca", "--out", "a.pdf")
+    assert (again.returncode, again.stderr.count("\n")) == (2, 1)
+    wrong = sfmrl("plot", "orca", "--out", "a.bmp")
+    assert wrong.returncode == 2
+    assert "must end in .svg, .png, .pdf, .gif, .mp4, .html" in wrong.stderr

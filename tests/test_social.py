@@ -1,5 +1,7 @@
 """The social metrics, against CrowdNav's own episodes, loops over one episode, and closed forms."""
 
+import csv
+import json
 import math
 from itertools import pairwise
 
@@ -9,9 +11,10 @@ from conftest import DATA
 
 from sfmrl.config import Simulation
 from sfmrl.episodes import Record, play
+from sfmrl.evaluation import evaluation_record
 from sfmrl.rewards import OUTCOMES, Transition
 from sfmrl.scenes import Scenes, sample_scenes
-from sfmrl.study.social import SOCIAL_METRICS, _time_to_collision, social_metrics, social_values
+from sfmrl.study.social import SOCIAL_METRICS, _time_to_collision, social_metrics, social_rows, social_values
 
 
 def crowdnav_record(name: str) -> Record:
@@ -169,3 +172,20 @@ def test_squares_are_no_people():
     people = social_values(record)["min_gap"]
     assert (np.nan_to_num(people, nan=np.inf) >= np.nanmin(np.where(record.played, near, np.inf), axis=1) - 1e-12).all()
     assert (np.nan_to_num(people, nan=np.inf) > np.nanmin(np.where(record.played, near, np.inf), axis=1)).any()
+
+
+def test_the_command_prints_each_metric_with_what_it_is_and_json_and_csv_have_all(sfmrl, tmp_path):
+    words = ("eval", "orca", "--environment", "circle5", "--episodes", 4)
+    shown = sfmrl(*words, "--social", "--csv", "e.csv")
+    assert shown.returncode == 0, shown.stderr
+    record = evaluation_record("orca", environment="circle5", episodes=4)
+    found = social_metrics(record)
+    for name, value in found.items():
+        assert any(f"{name} " in line and f" {value:.3f} " in line for line in shown.stdout.splitlines())
+    assert max(map(len, shown.stdout.splitlines())) <= 100
+    assert json.loads(sfmrl(*words, "--json").stdout)["social"] == found
+    rows = list(csv.DictReader((tmp_path / "e.csv").read_text().splitlines()))
+    expected = [
+        {name: "" if value is None else str(value) for name, value in row.items()} for row in social_rows(record)
+    ]
+    assert [{name: row[name] for name in SOCIAL_METRICS} for row in rows] == expected

@@ -15,10 +15,10 @@ from sfmrl.config import ConfigError
 from sfmrl.evaluation import wilson
 from sfmrl.runs.files import csv_text
 from sfmrl.scenes import sample_scenes
-from sfmrl.study.curves import curve_rows, draw_curves
 from sfmrl.study.sheets import rate, sheets
 from sfmrl.study.statistics import contrasts, mean_interval, summarise
 from sfmrl.study.tables import TABLES, Trained, figures, make_jobs, parse_rows, parse_seeds, read_row, run_folder
+from sfmrl.study.validations import table_validations
 
 EPISODES = np.array([0, 250, 500, 1000])
 
@@ -245,30 +245,18 @@ def test_the_results_on_show_follow_from_their_values_of_every_seed(path):
 
 def test_rows_that_miss_a_seed_leave_its_cells_empty():
     runs = {"sarl": trained([0.9], seeds=[1]), "sarl-sfm2": trained([0.8, 0.9], seeds=[0, 1])}
-    first, *_, last = csv.DictReader(csv_text(curve_rows(runs)).splitlines())
+    first, *_, last = csv.DictReader(csv_text(table_validations(runs)).splitlines())
     assert (first["low"], first["high"], first["seed 0"], first["seed 1"]) == ("", "", "", "0.5")
     assert (last["row"], last["seed 0"]) == ("sarl-sfm2", "0.9")
 
 
-def test_curves_have_a_line_a_validation_and_fit_where_they_are_drawn(folder):
+def test_there_is_a_line_a_validation(folder):
     rows = {name: read_row(folder, 1, "quick", name, [0, 1, 2, 3]) for name in ("sarl", "sarl-sfm2", "sarl-sfm6")}
-    lines = curve_rows(rows)
+    lines = table_validations(rows)
     assert [(line["row"], line["episode"]) for line in lines[:5]] == [("sarl", e) for e in EPISODES] + [
         ("sarl-sfm2", 0)
     ]
     assert lines[1]["mean"] == pytest.approx(0.8)
-    for width, height in ((80, 24), (40, 30), (200, 50)):
-        drawn = draw_curves(lines, width, height)
-        assert len(drawn) <= height
-        assert max(line.cell_len for line in drawn) <= width
-        assert sum("sarl-sfm6" in line.plain for line in drawn) == 1
-
-
-def test_a_constant_curve_is_a_flat_line_at_its_height():
-    runs = {"sarl": trained([1.0, 1.0], validation=np.ones((2, 4)))}
-    top, *below = draw_curves(curve_rows(runs), 60, 10)[1:-1]
-    assert sum(0x2800 < ord(glyph) <= 0x28FF for glyph in top.plain) > 50
-    assert not any(0x2800 <= ord(glyph) <= 0x28FF for line in below for glyph in line.plain)
 
 
 def test_training_validation_and_test_episodes_are_all_different():
@@ -296,11 +284,37 @@ def test_the_command_makes_a_table_and_a_figure_from_folders(sfmrl, folder, tmp_
     assert (again.returncode, again.stderr.count("\n")) == (2, 1)
     found = json.loads(sfmrl("table", *common, "--no-train", "--json").stdout)
     assert [row["row"] for row in found["rows"]] == ["sarl", "sarl-sfm6"]
-    drawn = sfmrl("figure", *common, "--svg", "f.svg", "--csv", "f.csv")
+    drawn = sfmrl("figure", *common, "--out", "f.svg", "--csv", "f.csv")
     assert drawn.returncode == 0, drawn.stderr
-    assert "1000 episodes" in drawn.stdout
-    assert "\x1b" not in drawn.stdout
-    assert (tmp_path / "f.svg").read_text().startswith("<svg")
+    assert "success in validation" in (tmp_path / "f.svg").read_text()
+    assert (tmp_path / "f.csv").read_text().count("sarl-sfm6") == len(EPISODES)
+
+
+def test_the_figure_of_single_runs_has_the_interval_of_each_validation(sfmrl, tmp_path):
+    tiny = ("--validation-episodes", 4, "--test-episodes", 4, "--no-recover", "--threads", 1)
+    trained = sfmrl("rl", "--from-scratch", "--run", "mine", "--episodes", 4, *tiny)
+    assert trained.returncode == 0, trained.stderr
+    done = sfmrl("figure", "mine", "--out", "f.svg", "--csv", "f.csv")
+    assert done.returncode == 0, done.stderr
+    lines = list(csv.DictReader((tmp_path / "f.csv").read_text().splitlines()))
+    assert [(line["row"], line["episode"]) for line in lines] == [("mine", "0"), ("mine", "4")]
+    for line in lines:
+        assert (float(line["low"]), float(line["high"])) == pytest.approx(wilson(round(4 * float(line["mean"])), 4))
+    assert "mine" in (tmp_path / "f.svg").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("1", "2", "--out", "f.svg"), "one table, or runs"),
+        (("nowhere", "--out", "f.svg"), "nowhere does not exist"),
+        (("1", "--out", "f.bmp"), "must end in .svg, .png, .pdf"),
+    ],
+)
+def test_a_figure_that_cannot_be_drawn_is_one_line(sfmrl, words, said):
+    done = sfmrl("figure", *words)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert said in done.stderr
 
 
 def test_jobs_are_printed_as_commands(sfmrl):

@@ -22,7 +22,7 @@ INTERRUPTED = 130
 LONGEST = 1000  # characters of an error's line: a given value may have thousands
 ORDER = (  # in which `sfmrl --help` lists the commands
     *("il", "rl", "runs", "eval", "compare", "ascii-render"),
-    *("explain", "models", "table", "figure", "verify", "doctor"),
+    *("plot", "explain", "models", "table", "figure", "verify", "doctor"),
 )
 
 app.registered_commands.sort(key=lambda command: ORDER.index(command.name))

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from sfmrl.config import ConfigError
@@ -57,6 +58,16 @@ def print_metrics(result: dict[str, Any], title: str) -> None:
         title += f", with recovery (stuck in {result['recovered']:.3f} of the episodes)"
     rows = {"all": result, **{f"env. {name}": row for name, row in result.get("environments", {}).items()}}
     table = _table_of_many(rows, title) if len(rows) > MANY else _metrics_table(rows, title)
+    print_table(table)
+
+
+def print_social(values: dict[str, float | None]) -> None:
+    """Print social metrics as a table: name, value, and what it is."""
+    from sfmrl.study.social import SOCIAL_METRICS
+
+    table = Table("metric", Column("value", justify="right"), "what it is", box=SIMPLE_HEAD)
+    for name, value in values.items():
+        table.add_row(name, "-" if value is None else f"{value:.3f}", SOCIAL_METRICS[name])
     print_table(table)
 
 

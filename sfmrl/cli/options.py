@@ -82,7 +82,7 @@ def _show_all(context: typer.Context, asked: bool) -> None:
 HELP_ALL = option(False, "Show all options, by section, and exit.", "--help-all", is_eager=True, callback=_show_all)
 POLICY = typer.Argument(
     None,
-    help="linear, orca, sfm, a model (sfmrl models), a run folder, a weights file (default the newest run)",
+    help="linear, orca, sfm, a model, a run folder, a weights file, file.py:function (default the newest run)",
     autocompletion=completion.policies,
 )
 MAP = option(

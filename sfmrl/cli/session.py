@@ -85,6 +85,7 @@ class TestOptions:
         The reward that a network looks ahead with is run if it is sfmrl's, if --reward names it, or with
         --trust-reward.
         """
+        from sfmrl.own_code import names_code
         from sfmrl.policies import POLICIES, load_policy
         from sfmrl.recovery import with_recovery
         from sfmrl.runs.weights import find_weights, model_names
@@ -95,7 +96,7 @@ class TestOptions:
         trust = self.trust_reward or settings.get("reward", {}).get("reward", False)
         chosen = load_policy(name, self.threads, trust_reward=trust)
         config = override(getattr(chosen, "config", Config()), settings)
-        if name not in (*POLICIES, *model_names()):
+        if name not in (*POLICIES, *model_names()) and not names_code(name):
             say_habits(find_weights(name), config)
         return with_recovery(chosen, config.planner), name, config
 
@@ -138,6 +139,14 @@ class TestOptions:
             words += ["--environment", self.where(config)]
         words += ["--seed", self.seed, "--episode", episode, *as_options(self.crowd | settings)]
         return shlex.join(map(str, words + ["--trust-reward"] * self.trust_reward))
+
+
+def code_facts(policies: list[str]) -> dict[str, Any]:
+    """Return, for JSON, the SHA-256 of the Python files among the policies, {} if there are none."""
+    from sfmrl.own_code import code_digest, names_code
+
+    digests = {name: code_digest(name) for name in policies if names_code(name)}
+    return {"sha256": digests} if digests else {}
 
 
 def as_options(settings: dict[str, Any]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The commands that make the paper's tables and its validation figure: `sfmrl table`, `sfmrl figure`."""
+"""The commands that make tables and figures: `sfmrl table`, `sfmrl figure`, `sfmrl plot`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,9 +6,10 @@ from typing import Any
 
 import typer
 
-from sfmrl.cli import options
-from sfmrl.cli.console import err, new_file, out, print_sheet, save_rows, say, say_json, say_result
+from sfmrl.cli import completion, options
+from sfmrl.cli.console import err, new_file, print_sheet, save_rows, say, say_json, say_result
 from sfmrl.cli.options import command, number_option, option
+from sfmrl.cli.session import TestOptions
 from sfmrl.config import ConfigError
 from sfmrl.runs.files import write_text
 from sfmrl.variants import make_config
@@ -18,38 +19,38 @@ from sfmrl.variants import make_config
 class Selection:
     """The options that select trainings of a table."""
 
-    number: int = typer.Argument(..., help="1 (environments 1 and 2) or 2 (environments 2 to 5)", min=1, max=2)
     seeds: str = option("0-9", "training seeds, 0-9 or 0,3,5-7 (default 0-9)")
     rows: str | None = option(None, "rows, as sarl,sarl-sfm6 (default all of the paper's)")
     preset: str = option("quick", "schedule: quick or paper (default quick)")
     folder: Path = option(Path("runs/tables"), "where the run folders are (default runs/tables)")
     overwrite: bool = options.OVERWRITE
 
-    def rows_and_seeds(self) -> tuple[list[str], list[int]]:
+    def rows_and_seeds(self, number: int) -> tuple[list[str], list[int]]:
         """Return the names of the rows and the seeds; raises ConfigError on unknown rows, seeds or presets."""
         from sfmrl.study.tables import parse_rows, parse_seeds
 
         make_config(self.preset)
-        return parse_rows(self.number, self.rows), parse_seeds(self.seeds)
+        return parse_rows(number, self.rows), parse_seeds(self.seeds)
 
-    def finished(self) -> dict[str, Any]:
+    def finished(self, number: int) -> dict[str, Any]:
         """Read the finished runs of each row that has some; raises ConfigError if there are none at all."""
         from sfmrl.study.tables import read_row
 
-        rows, seeds = self.rows_and_seeds()
-        runs = {row: read_row(self.folder, self.number, self.preset, row, seeds) for row in rows}
+        rows, seeds = self.rows_and_seeds(number)
+        runs = {row: read_row(self.folder, number, self.preset, row, seeds) for row in rows}
         if not any(runs.values()):
             raise ConfigError(
-                f"{self.folder} holds no finished run of table {self.number}, {self.preset} preset; "
-                f"type sfmrl table {self.number} --preset {self.preset}, or name another --folder"
+                f"{self.folder} holds no finished run of table {number}, {self.preset} preset; "
+                f"type sfmrl table {number} --preset {self.preset}, or name another --folder"
             )
         return {row: trained for row, trained in runs.items() if trained}
 
 
 @command("sfmrl table 1 --seeds 0-4 --jobs 2")
 def table(
-    selection: Selection,
+    number: int = typer.Argument(..., help="1 (environments 1 and 2) or 2 (environments 2 to 5)", min=1, max=2),
     *,
+    selection: Selection,
     jobs: int | None = number_option(None, "trainings side by side (default one a core)", 1, 1024),
     episodes: int | None = number_option(None, "training episodes of each run (default the preset's)", 1, 10_000_000),
     validation_interval: int | None = number_option(
@@ -68,22 +69,22 @@ def table(
     """
     from sfmrl.study.tables import make_jobs
 
-    rows, seeds = selection.rows_and_seeds()
+    rows, seeds = selection.rows_and_seeds(number)
     if on not in ("here", "ray"):
         raise ConfigError(f"--on {on}: choose here or ray")
     new_file(csv, "csv", selection.overwrite)
     new_file(markdown, "markdown", selection.overwrite)
-    which = (selection.number, selection.preset, seeds, rows, selection.folder)
+    which = (number, selection.preset, seeds, rows, selection.folder)
     trainings = make_jobs(*which, episodes, validation_interval)
     if print_jobs:
         say_result("\n".join(job.command for job in trainings))
         return
     if not no_train:
         _train(trainings, on, jobs)
-    runs, wanted = selection.finished(), len(rows) * len(seeds)
+    runs, wanted = selection.finished(number), len(rows) * len(seeds)
     if missing := wanted - sum(len(trained.seeds) for trained in runs.values()):
         say(f"{missing} of {wanted} trainings are not finished, and left out")
-    _report(selection, runs, as_json, csv, markdown)
+    _report(number, selection.preset, runs, as_json, csv, markdown)
 
 
 def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:
@@ -103,13 +104,15 @@ def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:
             raise typer.Exit(1) from None
 
 
-def _report(selection: Selection, runs: dict[str, Any], as_json: bool, csv: Path | None, markdown: Path | None) -> None:
+def _report(
+    number: int, preset: str, runs: dict[str, Any], as_json: bool, csv: Path | None, markdown: Path | None
+) -> None:
     """Print the statistics of a table's rows, and write them to files."""
     from sfmrl.study.sheets import csv_rows, sheets
     from sfmrl.study.statistics import contrasts, summarise
     from sfmrl.study.tables import TABLES, figures
 
-    number, preset, paper = selection.number, selection.preset, TABLES[selection.number]
+    paper = TABLES[number]
     rows = {row: figures(trained) for row, trained in runs.items()}
     summary, effects = summarise(paper, rows), contrasts(rows) if number == 1 else []
     pages = sheets(summary, effects, f"Table {number}, {preset} preset, {paper.test_episodes} test episodes")
@@ -124,25 +127,70 @@ def _report(selection: Selection, runs: dict[str, Any], as_json: bool, csv: Path
         print_sheet(page)
 
 
-@command("sfmrl figure 1 --svg validation.svg")
+@command("sfmrl figure 1 --out validation.svg")
 def figure(
-    selection: Selection,
+    targets: list[str] = typer.Argument(..., help="1 or 2, a table; or run folders", autocompletion=completion.runs),
     *,
+    out: Path | None = option(None, "write the figure to this file, .svg, .png or .pdf"),
     csv: Path | None = option(None, "write a line a validation to this file"),
-    svg: Path | None = option(None, "write the figure to this file, as SVG"),
+    selection: Selection,
 ) -> None:
-    """Draw validation success over the trainings of a table: mean over seeds, and its 95 % interval shaded."""
-    from rich.text import Text
+    """Draw success in validation over trainings: means over a table's seeds with 95 % intervals, or single runs.
 
-    from sfmrl.replay import Frame, to_svg
-    from sfmrl.study.curves import curve_rows, draw_curves
+    Needs matplotlib: pip install "sfmrl[plot]".
+    """
+    from sfmrl.study.validations import run_validations, table_validations
 
+    _check_picture(out, selection.overwrite)
     new_file(csv, "csv", selection.overwrite)
-    new_file(svg, "svg", selection.overwrite)
-    lines = curve_rows(selection.finished())
+    tables = [target for target in targets if target in ("1", "2")]
+    if tables and len(targets) > 1:
+        raise ConfigError(f"figure draws one table, or runs; it got {', '.join(targets)}")
+    lines = table_validations(selection.finished(int(tables[0]))) if tables else run_validations(targets)
+    if not (out or csv):
+        raise ConfigError("figure writes files; name one, as --out validation.svg or --csv validation.csv")
+    title = f"Table {tables[0]}, {selection.preset} preset" if tables else ""
+    if out:
+        from sfmrl.study.plots import save, validation_figure
+
+        save(validation_figure(lines, title), out)
+        say(f"wrote {out}")
     save_rows(lines, csv)
-    if svg:
-        picture = Frame(Text("\n").join(draw_curves(lines, 120, 48)), time=0.0)
-        write_text(svg, to_svg([picture], f"Validation success, table {selection.number}, {selection.preset} preset"))
-    for line in draw_curves(lines, max(out.width, 40), max(out.height - 2, 16)):
-        out.print(line if out.is_terminal else line.plain, highlight=False)
+
+
+@command("sfmrl plot sarl --environment 2 --episode 3 --out episode.png", "simulation", "reward", "planner")
+def plot(
+    policy: str | None = options.POLICY,
+    *,
+    out: Path = option(
+        Path("episode.svg"), "file to write: .svg, .png, .pdf, or a film, .gif, .mp4, .html (default episode.svg)"
+    ),
+    episode: int = options.EPISODE,
+    test: TestOptions,
+    settings: dict[str, Any],
+) -> None:
+    """Draw a test episode in metres: everybody's path with a disc each second; or film it.
+
+    Needs matplotlib: pip install "sfmrl[plot]".
+    """
+    from sfmrl.episodes import play_episodes
+
+    _check_picture(out, test.overwrite, films=True)
+    from sfmrl.study.plots import draw_episode
+
+    chosen, _, config = test.choose(policy, settings)
+    scene = test.scene(test.where(config), episode)
+    draw_episode(play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount), out)
+    say(f"wrote {out}")
+
+
+def _check_picture(path: Path | None, overwrite: bool, films: bool = False) -> None:
+    """Raise ConfigError if matplotlib is missing, or if a picture cannot be written to the file."""
+    if path is None:
+        return
+    from sfmrl.study.plots import FILMS, STILLS
+
+    known = (*STILLS, *(FILMS if films else ()))
+    if path.suffix not in known:
+        raise ConfigError(f"--out is {path}; its name must end in {', '.join(known)}")
+    new_file(path, "out", overwrite)

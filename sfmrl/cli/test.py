@@ -6,11 +6,12 @@ from typing import Any
 import typer
 
 from sfmrl.cli import options
-from sfmrl.cli.console import new_file, print_metrics, print_sheet, save_rows, say, say_json
+from sfmrl.cli.console import new_file, print_metrics, print_sheet, print_social, save_rows, say, say_json
 from sfmrl.cli.options import command, option
-from sfmrl.cli.session import TestOptions
+from sfmrl.cli.session import TestOptions, code_facts
 from sfmrl.config import ConfigError, counted
 
+SOCIAL = option(False, "print another table: how the robot treats people", "--social")
 LISTED = 12  # failed episodes whose numbers are printed
 
 
@@ -26,19 +27,27 @@ def evaluate(
     settings: dict[str, Any],
     as_json: bool = options.JSON,
     csv: Path | None = option(None, "write a line an episode to this file"),
+    social: bool = SOCIAL,
 ) -> None:
-    """Test a policy: success, collisions, time-outs, navigation time, total reward."""
+    """Test a policy: success, collisions, time-outs, navigation time, total reward.
+
+    --social adds gaps, danger, jerk, path length and more, each with its formula; --json and --csv always have them.
+    """
     from sfmrl.evaluation import episode_rows, metrics
+    from sfmrl.study.social import social_metrics, social_rows
 
     new_file(csv, "csv", test.overwrite)
     chosen, name, config = test.choose(policy, settings)
     (record,) = test.play([chosen], config, episodes)
-    result = metrics(record, chosen)
-    save_rows(episode_rows(record), csv)
+    result, treats = metrics(record, chosen), social_metrics(record)
+    save_rows([row | more for row, more in zip(episode_rows(record), social_rows(record), strict=True)], csv)
     if as_json:
-        say_json({"policy": name, "environment": test.where(config), "seed": test.seed} | test.crowd | result)
+        what = {"policy": name} | code_facts([name]) | {"environment": test.where(config), "seed": test.seed}
+        say_json(what | test.crowd | result | {"social": treats})
         return
     print_metrics(result, f"{name}, {test.title(config, episodes)}")
+    if social:
+        print_social(treats)
     if failures := result["failures"]:
         failed = ", ".join(str(failure["episode"]) for failure in failures[:LISTED])
         see = test.replay_command(policy, config, failures[0]["episode"], settings)
@@ -57,13 +66,14 @@ def compare(
     settings: dict[str, Any],
     as_json: bool = options.JSON,
     csv: Path | None = option(None, "write a line an episode of each policy to this file"),
+    social: bool = SOCIAL,
 ) -> None:
     """Compare policies on the same episodes: differences with intervals, and where only one succeeds.
 
     Total rewards are those of the first one's reward, and the environment its test mix, unless they are given.
     """
     from sfmrl.study.compare import compare as compare_records
-    from sfmrl.study.compare import comparison_rows, comparison_sheets
+    from sfmrl.study.compare import comparison_rows, comparison_sheets, social_sheet
 
     if len(policies) < 2 or len(set(policies)) < len(policies):
         raise ConfigError(f"compare takes two or more different policies; it got {', '.join(policies)}")
@@ -73,9 +83,10 @@ def compare(
     comparison = compare_records(records, chosen, policies)
     save_rows(comparison_rows(records, policies), csv)
     if as_json:
-        say_json({"environment": test.where(config), "seed": test.seed} | test.crowd | comparison)
+        what = code_facts(policies) | {"environment": test.where(config), "seed": test.seed}
+        say_json(what | test.crowd | comparison)
         return
-    for sheet in comparison_sheets(comparison, test.title(config, episodes)):
+    for sheet in comparison_sheets(comparison, test.title(config, episodes)) + [social_sheet(comparison)] * social:
         print_sheet(sheet)
     if comparison["differing"]:
         episode, versus = _first_difference(comparison["differing"][0], policies)

@@ -21,14 +21,14 @@ def episode_svg(record: Record, episode: int = 0) -> str:
     """An animated SVG of one episode, given by its row in the record."""
     one = record.take([episode])
     steps, seconds = int(one.steps[0]), float(one.time[0])
-    title = f"{one.scenes.environment[0]}: {one.outcome[0]} after {seconds:.2f} s"
+    title = f"environment {one.scenes.environment[0]}: {one.outcome[0]} after {seconds:.2f} s"
     return _drawing(one.scenes, one.position[0, : steps + 1], seconds, title)
 
 
 def scene_svg(scenes: Scenes, episode: int = 0) -> str:
     """An SVG of one scene, given by its row, with a line from everybody's start to the goal."""
     one = scenes.take([episode])
-    return _drawing(one, one.start, 0.0, str(one.environment[0]))
+    return _drawing(one, one.start, 0.0, f"environment {one.environment[0]}")
 
 
 def record_html(record: Record) -> str:

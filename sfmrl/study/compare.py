@@ -10,6 +10,7 @@ from sfmrl.episodes import Record
 from sfmrl.evaluation import RATES, episode_rows, metrics
 from sfmrl.lookahead import Policy
 from sfmrl.study.sheets import Sheet, estimate, p_value, rate, rate_interval, seconds
+from sfmrl.study.social import SOCIAL_METRICS, social_metrics, social_values
 from sfmrl.study.statistics import holm, mean_difference, success_difference
 
 LISTED = 20  # differing episodes that the terminal shows; JSON has all
@@ -20,7 +21,8 @@ def compare(records: Sequence[Record], policies: Sequence[Policy], names: Sequen
     """Compare the records of policies that played the same test episodes; returns plain values, ready for JSON.
 
     `policies` holds the metrics of each, and for all but the first `less_first`, the differences from the first: in
-    `success`, and in the `navigation_time` (s) of the episodes in which both succeed (None without any). p-values are
+    `success`, in the `navigation_time` (s) of the episodes in which both succeed (None without any), and in the
+    `social` metrics, by episode, of those in which both have a value (None without any). p-values are
     adjusted by Holm for all policies compared. `differing` lists the episodes in which some policies succeed and some
     do not. Raises ConfigError unless the episodes are the same.
     """
@@ -31,11 +33,14 @@ def compare(records: Sequence[Record], policies: Sequence[Policy], names: Sequen
     for record, policy, name in zip(records, policies, names, strict=True):
         measured = metrics(record, policy)
         compared = ("episodes", *RATES, "intervals", "navigation_time", "total_reward", "recovered")
-        rows.append({"policy": name} | {key: measured[key] for key in compared if key in measured})
+        figures = {key: measured[key] for key in compared if key in measured}
+        rows.append({"policy": name} | figures | {"social": social_metrics(record)})
     for row, record in zip(rows[1:], others, strict=True):
         row["less_first"] = _difference(record, first)
     for metric in ("success", "navigation_time"):
         holm([row["less_first"][metric] for row in rows[1:] if row["less_first"][metric]])
+    for metric in SOCIAL_METRICS:
+        holm([row["less_first"]["social"][metric] for row in rows[1:] if row["less_first"]["social"][metric]])
     return {"policies": rows, "differing": _differing(records, names)}
 
 
@@ -49,7 +54,15 @@ def _difference(record: Record, first: Record) -> dict[str, Any]:
         "navigation_time": mean_difference((record.time - first.time)[both], EXACT_BELOW) if both.any() else None,
         "only_this": only_this,
         "only_first": only_first,
+        "social": _social_differences(record, first),
     }
+
+
+def _social_differences(record: Record, first: Record) -> dict[str, Any]:
+    """Return a record's social metrics less the first's: mean differences over the episodes that have both."""
+    ours, theirs = social_values(record), social_values(first)
+    gaps = {name: (ours[name] - theirs[name])[~np.isnan(ours[name] - theirs[name])] for name in ours}
+    return {name: mean_difference(gap, EXACT_BELOW) if len(gap) else None for name, gap in gaps.items()}
 
 
 def _differing(records: Sequence[Record], names: Sequence[str]) -> list[dict[str, Any]]:
@@ -84,6 +97,20 @@ def comparison_sheets(comparison: dict[str, Any], title: str) -> list[Sheet]:
         lines = [{"episode": str(d["episode"]), "env.": d["environment"], **d["outcomes"]} for d in differing[:LISTED]]
         sheets.append(Sheet(f"Where some succeed and some do not: {count}", lines))
     return sheets
+
+
+def social_sheet(comparison: dict[str, Any]) -> Sheet:
+    """Return the social metrics of `compare`: a line a metric, the first policy's value and the others' differences."""
+    first, *others = comparison["policies"]
+
+    def line(metric: str) -> dict[str, str]:
+        value = first["social"][metric]
+        gaps = {f"{row['policy']} less {first['policy']}": row["less_first"]["social"][metric] for row in others}
+        cells = {"metric": metric, first["policy"]: "-" if value is None else rate(value)}
+        return cells | {name: estimate(gap) for name, gap in gaps.items()}
+
+    title = "How they treat people (sfmrl eval --social says what each is); mean differences with 95 % intervals"
+    return Sheet(title, [line(metric) for metric in SOCIAL_METRICS])
 
 
 def _rates(row: dict[str, Any]) -> dict[str, str]:

@@ -73,6 +73,12 @@ def social_values(record: Record) -> dict[str, np.ndarray]:
         }
 
 
+def social_rows(record: Record) -> list[dict[str, float | None]]:
+    """`social_values` as a row of plain values for each episode, for a CSV file; None where nothing was measured."""
+    columns = [[None if np.isnan(v) else float(v) for v in value] for value in social_values(record).values()]
+    return [dict(zip(SOCIAL_METRICS, row, strict=True)) for row in zip(*columns, strict=True)]
+
+
 def _people(record: Record) -> np.ndarray:
     """Which rows after the robot's are people, (E, N - 1) bool."""
     return ~record.scenes.square[:, 1:] & ~np.isnan(record.scenes.start[:, 1:, 0])

@@ -1,0 +1,44 @@
+"""Success in validation over the training, of a table's rows or of single runs, as lines for CSV and for figures."""
+
+from pathlib import Path
+from typing import Any
+
+from sfmrl.config import ConfigError
+from sfmrl.evaluation import wilson
+from sfmrl.runs.files import read_table
+from sfmrl.runs.run import open_run
+from sfmrl.study.statistics import mean_interval
+from sfmrl.study.tables import Trained
+
+
+def table_validations(rows: dict[str, Trained]) -> list[dict[str, Any]]:
+    """A line per validation of each row: mean over seeds, its 95 % interval, each seed's success; None for no value."""
+    seeds = sorted({seed for tested in rows.values() for seed in tested.seeds})
+    lines = []
+    for name, tested in rows.items():
+        for episode, success in zip(tested.episodes, tested.validation.T, strict=True):
+            low, high = mean_interval(success, 0.0, 1.0)
+            by_seed = dict(zip(tested.seeds, success.tolist(), strict=True))
+            by_seed = {f"seed {seed}": by_seed.get(seed) for seed in seeds}
+            mean = {"mean": float(success.mean()), "low": low, "high": high}
+            lines.append({"row": name, "episode": int(episode), **mean, **by_seed})
+    return lines
+
+
+def run_validations(folders: list[str]) -> list[dict[str, Any]]:
+    """A line per validation of each run: success, and its 95 % Wilson interval over the validation's episodes.
+
+    Raises ConfigError if a folder is no reinforcement run or has no validation yet, DamagedFile if it is damaged.
+    """
+    lines = []
+    for folder in folders:
+        run = open_run(Path(folder), "rl")
+        episodes = run.config.reinforcement.validation_episodes
+        path = run.folder / "validation.csv"
+        if not (rows := read_table(path) if path.exists() else []):
+            raise ConfigError(f"{folder} has no validation yet; wait for its first one")
+        for row in rows:
+            success = float(row["success"])
+            low, high = wilson(round(success * episodes), episodes)
+            lines.append({"row": folder, "episode": int(row["episode"]), "mean": success, "low": low, "high": high})
+    return lines
