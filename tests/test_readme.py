@@ -3,10 +3,14 @@
 import re
 import shlex
 
+import numpy as np
 import typer
 from conftest import ROOT, Interpreter
 
 from sfmrl.cli import app
+from sfmrl.episodes import play
+from sfmrl.replay.picture import episode_svg
+from sfmrl.scenes import sample_scenes
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL)
@@ -27,6 +31,24 @@ def test_the_own_reward_runs_under_the_command_that_is_shown(sfmrl, tmp_path):
     name = re.search(r"--reward (\S+)", code)[1]
     done = sfmrl("eval", "orca", "--episodes", "3", "--reward", name)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_own_policy_succeeds_where_orca_stops():
+    code = next(code for language, code in BLOCKS if code.startswith("# my_policy.py"))
+    names: dict = {}
+    exec(code, names)
+    scenes = sample_scenes("table1", 60)
+    own, orca = ((play(scenes, policy).outcome == "success").mean() for policy in (names["detour"], "orca"))
+    assert own > orca + 0.2
+
+
+def test_the_film_and_the_frame_are_of_the_same_episode_and_the_first_tutorial_shows_the_frame():
+    film = (ROOT / "tutorials" / "episode.svg").read_text(encoding="utf-8")
+    made = episode_svg(play(sample_scenes("2", 1), "sarl-sfm2", reward="sfm"))
+    ways = [[place.split(",") for place in re.findall(r'points="([^"]+)"', svg)[0].split()] for svg in (film, made)]
+    np.testing.assert_allclose(np.array(ways[0], dtype=float), np.array(ways[1], dtype=float), atol=4)  # pixels
+    (frame,) = (code for _, code in BLOCKS if code.startswith("╭─ sarl-sfm2 · environment 2 · episode 0"))
+    assert frame in (ROOT / "tutorials" / "01-first-steps.md").read_text(encoding="utf-8")
 
 
 def test_every_command_and_flag_it_names_exists():
