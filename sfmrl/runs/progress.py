@@ -59,8 +59,9 @@ def _lines(console: Console, title: str, total: int) -> Iterator[Callable[[int],
         now = time.monotonic()
         if now - printed >= (LINE_EVERY if printed > start else FIRST_LINE_AFTER):
             printed = now
-            left = (total - done) * (now - start) / max(done, 1)
-            line = f"{title}: {done} of {total}, {_rate(done, now - start)}, {left:.0f} s left"
+            line = f"{title}: {done} of {total}"
+            if done:  # else nothing is known about the rate
+                line += f", {_rate(done, now - start)}, {(total - done) * (now - start) / done:.0f} s left"
             console.print(line, highlight=False, soft_wrap=True)
 
     yield advance
