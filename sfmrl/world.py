@@ -55,7 +55,7 @@ class World(Batch):
 
     @property
     def shape(self) -> tuple[np.ndarray, np.ndarray]:
-        """Half the sides of solid squares (0 for discs) and radii of discs (0 for solid squares), each (E, N) m."""
+        """Half sides of solid squares (0 for the other rows), and radii of discs (0 for solid squares), (E, N) m each."""
         solid = self.square & (self.simulation.squares == "solid")
         return np.where(solid, self.radius, 0.0), np.where(solid, 0.0, self.radius)
 
@@ -67,7 +67,7 @@ class World(Batch):
 
     @property
     def preferred_velocity(self) -> np.ndarray:
-        """Towards each agent's goal with v_pref, in CrowdNav's way slower on the last metre, (E, N, 2) m/s."""
+        """Towards each agent's goal at v_pref, slower on the last metre (CrowdNav; not in rewards), (E, N, 2) m/s."""
         return limit(self.goal - self.position, self.v_pref)
 
     def ahead(self, action: np.ndarray) -> np.ndarray:
