@@ -74,8 +74,8 @@ def closest_approach(
     """
     px, py = offset[..., 0], offset[..., 1]
     vx, vy = relative_velocity[..., 0], relative_velocity[..., 1]
-    # The line of motion is nearest to the square where it passes the corner on its side; if it crosses the square, it is
-    # inside there. The distance is convex in time, so that moment can be clipped to the duration.
+    # The line of motion is nearest to the square where it passes the corner on its side; a line that crosses the square
+    # is inside it there. The distance is convex in time, so that moment can be clipped to the duration.
     side = np.sign(px * vy - py * vx)
     corner_x, corner_y = half * np.sign(side * vy), half * np.sign(side * -vx)
     speed2 = vx * vx + vy * vy

@@ -55,7 +55,7 @@ class World(Batch):
 
     @property
     def shape(self) -> tuple[np.ndarray, np.ndarray]:
-        """Half sides of solid squares (0 for the other rows), and radii of discs (0 for solid squares), (E, N) m each."""
+        """Half sides of solid squares (0 for others), and radii of discs (0 for solid squares), each (E, N) m."""
         solid = self.square & (self.simulation.squares == "solid")
         return np.where(solid, self.radius, 0.0), np.where(solid, 0.0, self.radius)
 

@@ -20,11 +20,11 @@ from sfmrl.states import OWN, column_names
 
 CHECKPOINT = "rl_model.pth"  # in the output folder of CrowdNav's training
 WRAPPERS = ("state_dict", "model_state_dict", "model")  # keys under which a file may hold its parameters
-MAX_WRAPPERS = 4  # wrappers inside each other
-PREFIXES = ("module.", "model.")  # before every name, as DataParallel and networks with parts write them
+MAX_WRAPPERS = 4  # nested in each other
+PREFIXES = ("module.", "model.")  # that DataParallel and wrapping modules put before every name
 MAX_UNITS = 4096  # in a layer
-OTHERS = {"value_network.": "CADRL, which looks at one person at a time", "lstm.": "LSTM-RL"}  # by their parameters
-NOT_WEIGHTS = {  # how files start that are mistaken for weights
+OTHERS = {"value_network.": "CADRL, which looks at one person at a time", "lstm.": "LSTM-RL"}  # by parameters' prefix
+NOT_WEIGHTS = {  # first bytes of files that are often mistaken for weights
     b"version https://git-lfs": "is a git-lfs pointer, not the file itself; fetch that with git lfs pull",
     b"<!doctype html": "is a web page (HTML), not the file itself; download that",
     b"<html": "is a web page (HTML), not the file itself; download that",
@@ -127,7 +127,7 @@ def export_weights(network: FastNetwork, path: Path) -> str:
 
 
 def other_habits(path: Path, robot_visible: bool) -> list[str]:
-    """Sentences on what CrowdNav's config files beside a checkpoint set otherwise than it is played here."""
+    """Sentences on settings in CrowdNav's config files beside a checkpoint that differ from how it is played here."""
     policy, world = (_read_ini(path.with_name(name)) for name in ("policy.config", "env.config"))
     kinematics = policy.get("action_space", "kinematics", fallback="holonomic")
     unseen = world.get("robot", "visible", fallback="true").lower() in ("false", "no", "off", "0")
