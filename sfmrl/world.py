@@ -67,7 +67,7 @@ class World(Batch):
 
     @property
     def preferred_velocity(self) -> np.ndarray:
-        """Towards each agent's goal at v_pref, slower on the last metre (CrowdNav; not in rewards), (E, N, 2) m/s."""
+        """Towards each agent's goal with v_pref, in CrowdNav's way slower on the last metre, (E, N, 2) m/s."""
         return limit(self.goal - self.position, self.v_pref)
 
     def ahead(self, action: np.ndarray) -> np.ndarray:

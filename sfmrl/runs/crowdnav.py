@@ -127,7 +127,7 @@ def export_weights(network: FastNetwork, path: Path) -> str:
 
 
 def other_habits(path: Path, robot_visible: bool) -> list[str]:
-    """Sentences on settings in CrowdNav's config files beside a checkpoint that differ from how it is played here."""
+    """Sentences on what CrowdNav's config files beside a checkpoint set otherwise than it is played here."""
     policy, world = (_read_ini(path.with_name(name)) for name in ("policy.config", "env.config"))
     kinematics = policy.get("action_space", "kinematics", fallback="holonomic")
     unseen = world.get("robot", "visible", fallback="true").lower() in ("false", "no", "off", "0")
