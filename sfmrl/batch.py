@@ -9,13 +9,14 @@ class Batch:
     """A dataclass of arrays (E, ...), of parts with a `take` of their own, and of settings that all episodes share."""
 
     def take(self, rows: np.ndarray | slice) -> Self:
-        """The same for some of the episodes: an index array, a mask or a slice."""
+        """The same for some of the episodes, chosen by an index array, a mask or a slice."""
         parts = vars(self)
         index = np.arange(len(next(iter(parts.values()))))[rows]
         return type(self)(**{name: _taken(part, index) for name, part in parts.items()})
 
 
 def _taken(part: Any, index: np.ndarray) -> Any:
+    """The rows `index` of an array, of each array in a dictionary, or of a part with `take`; settings as they are."""
     if isinstance(part, np.ndarray):
         return part.take(index, axis=0)  # two to three times as fast as part[index]
     if isinstance(part, dict):

@@ -169,7 +169,7 @@ def _recorded(
     moments[:, :, 0] = start.position, start.velocity
     parts, notes = {}, {}
     nobody = start.take(slice(0))
-    _write(parts, nobody, vars(transition(nobody, np.zeros((0, 2)))), count)  # makes the arrays
+    _write(parts, nobody, vars(transition(nobody, np.zeros((0, 2)))), count)  # makes the arrays, also for no scenes
     waiting = min(batch, count)  # the first of the episodes that wait for their turn
     world = start.take(slice(waiting))
     while len(world):
@@ -177,7 +177,7 @@ def _recorded(
         action, noted = _choice(policy, world, moves, keep)
         step = transition(world, action)
         if not world.steps.any():
-            terms(step)  # a reward that fails had better do so now than after the last episode
+            terms(step)  # so a reward that fails does so now, not after the last episode
         _write(parts, world, vars(step), count)
         _write(notes, world, noted, count)
         world = advance(world, moves, action)
@@ -229,24 +229,24 @@ def memory_size() -> float:
 
 
 def rewards_of(transition: Transition, steps: np.ndarray, terms: Callable[[Transition], Terms]) -> np.ndarray:
-    """The rewards of a transition (E, T), by what `reward_terms` returns; NaN after an episode's `steps` (E,)."""
+    """The rewards (E, T) of transitions (E, T) by `terms` (see `reward_terms`); NaN after an episode's `steps` (E,)."""
     played = np.arange(transition.outcome.shape[1]) < steps[:, None]
     rewards = np.full(played.shape, np.nan)
     rewards[played] = total(terms(transition[played]))
     return rewards
 
 
-def returns_of(rewards: np.ndarray, step_discount: np.ndarray, guess: np.ndarray | None = None) -> np.ndarray:
+def returns_of(rewards: np.ndarray, step_discount: np.ndarray, value: np.ndarray | None = None) -> np.ndarray:
     """Discounted sums of the rewards from each step on, (E, T), with the discounts for one step, (E,).
 
-    `rewards` (E, T) are NaN after an episode's end, and so are the returns. Where `guess` (E, T) is not NaN, earlier
-    returns take it for the return from that step on.
+    `rewards` (E, T) are NaN after an episode's end, and so are the returns. Earlier returns bootstrap from `value`
+    (E, T) where it is not NaN: they use it in place of the return from that step on.
     """
     returns = np.empty_like(rewards)
     later = np.zeros(len(rewards))
     for t in reversed(range(rewards.shape[1])):
         returns[:, t] = rewards[:, t] + step_discount * later
         later = np.nan_to_num(returns[:, t])
-        if guess is not None:
-            later = np.where(np.isnan(guess[:, t]), later, guess[:, t])
+        if value is not None:
+            later = np.where(np.isnan(value[:, t]), later, value[:, t])
     return returns

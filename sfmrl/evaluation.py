@@ -14,7 +14,7 @@ from sfmrl.rewards import OwnReward
 from sfmrl.scenes import sample_scenes
 
 RATES = ("success", "collision", "timeout")
-Z = 1.959964  # the normal distribution's quantile for 95 %, two-sided
+Z = 1.959964  # quantile of the normal distribution for a two-sided 95 % interval
 
 
 class Metrics(dict[str, Any]):
@@ -45,11 +45,11 @@ def evaluation_record(
     people_speed: float | None = None,
     progress: Callable[[int], None] = lambda ended: None,
 ) -> Record:
-    """Test episodes played with a policy; `people` and `people_speed` as in `sample_scenes`.
+    """Play test episodes with a policy; `people` and `people_speed` as in `sample_scenes`.
 
-    `environment`, `simulation` and `reward` (for the total reward) default to those of the policy's training; for a
-    policy without training, to table 1's mix and CrowdNav's. `progress` is called with the number of episodes that have
-    just ended. Raises ConfigError on unknown names and on less than one episode.
+    `environment`, `simulation` and `reward` (for the total reward) default to those of the policy's training or, for a
+    policy that was not trained, to table 1's mix and CrowdNav's. `progress` is called with the number of episodes that
+    have just ended. Raises ConfigError on unknown names and on less than one episode.
     """
     in_range("episodes", episodes, 1, EPISODES)
     chosen = find_policy(policy, reward)
@@ -110,15 +110,16 @@ def collided_with(record: Record) -> np.ndarray:
 
 
 def _summary(record: Record) -> dict[str, Any]:
-    outcome, count = record.outcome, len(record.steps)
-    hits = {name: int((outcome == name).sum()) for name in RATES}
+    """The metrics of all episodes of a record together, as plain values."""
+    outcome, episodes = record.outcome, len(record.steps)
+    counts = {name: int((outcome == name).sum()) for name in RATES}
     succeeded = outcome == "success"
     return {
-        "episodes": count,
-        **{name: hits[name] / count for name in RATES},
+        "episodes": episodes,
+        **{name: counts[name] / episodes for name in RATES},
         "navigation_time": float(record.time[succeeded].mean()) if succeeded.any() else None,
         "total_reward": float(record.discounted_return.mean()),
-        "intervals": {name: list(wilson(hits[name], count)) for name in RATES},
+        "intervals": {name: list(wilson(counts[name], episodes)) for name in RATES},
     }
 
 

@@ -1,9 +1,9 @@
-"""Exploration: training episodes with some random actions, and what is remembered of them.
+"""Exploration: play training episodes with some random actions, and store their states with the values to learn.
 
-There are two kinds of values to learn. `td`: the reward, plus the target network's value of the next state. `returns`:
-the discounted rewards that followed up to the next random action, plus the target network's value from there on. Every
-random number comes from the seed and the episode's number, so numbers do not depend on which episodes are played side
-by side, or on which process.
+A state's value to learn is a return that is cut short by bootstrapping: from some later state on, the target network's
+value stands for the rewards that follow. With `td`, that is the next state; with `returns`, the state of the next
+random action, or none. Every random number comes from the seed and the episode's number, so numbers do not depend on
+which episodes are played side by side, or on which process.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from sfmrl.lookahead import ACTIONS, SarlPolicy, step_discount
 from sfmrl.scenes import generator, sample_scenes, thinned
 from sfmrl.world import World
 
-Explored = tuple[Record, np.ndarray]
+Explored = tuple[Record, np.ndarray]  # E episodes, and which of their steps (E, T) were random
 
 
 def explore(
@@ -25,7 +25,8 @@ def explore(
 ) -> Explored:
     """Play training episodes epsilon-greedily; returns their record, and which steps (E, T) were random.
 
-    `numbers` says in which scenes, by default in the episodes' own; random actions depend on the episodes alone.
+    `numbers` are those of the scenes to play in, by default the episodes' own; the random actions follow from
+    `episodes` in any scene.
     """
     settings = config.reinforcement
     scenes = sample_scenes(settings.environment, episodes if numbers is None else numbers, config.seed, phase="train")
@@ -55,15 +56,15 @@ def epsilon(settings: Reinforcement, episode: np.ndarray) -> np.ndarray:
 
 def remember(learner: Learner, record: Record, random_steps: np.ndarray) -> None:
     """Store the states of a record with the values to learn for them, and note the scenes in which the robot failed."""
-    config, returns = learner.config, learner.config.reinforcement.targets == "returns"
+    config, one_step = learner.config, learner.config.reinforcement.targets == "td"
     learner.note_failures(record.scenes.episode, record.outcome)
-    kept = (record.outcome != "timeout") | returns
+    kept = record.outcome != "timeout" if one_step else np.ones(len(record.steps), dtype=bool)
     record, random_steps = record.take(kept), random_steps[kept]
     states, played = record.states(config), record.played
-    # The steps at whose start the target network's value stands for all that follows.
-    guessed = random_steps & played if returns else played.copy()
-    guessed[:, 0] = False  # no step comes before the first that would need it
-    guess = np.full(played.shape, np.nan)
-    guess[guessed] = learner.target.evaluate(states[guessed[played]])[0]
-    step = step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation)
-    learner.memory.push(states, returns_of(record.reward, step, guess)[played])
+    # The steps (E, T) at whose start the target network's value replaces the return: earlier steps build on it.
+    bootstrapped = played.copy() if one_step else random_steps & played
+    bootstrapped[:, 0] = False  # nothing comes before the first step
+    value = np.full(played.shape, np.nan)
+    value[bootstrapped] = learner.target.evaluate(states[bootstrapped[played]])[0]
+    discount = step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation)
+    learner.memory.push(states, returns_of(record.reward, discount, value)[played])

@@ -74,7 +74,8 @@ def closest_approach(
     """
     px, py = offset[..., 0], offset[..., 1]
     vx, vy = relative_velocity[..., 0], relative_velocity[..., 1]
-    # A line is nearest to a square at the corner that lies farthest on the line's side, or crosses it near there.
+    # The line of motion is nearest to the square where it passes the corner on its side; a line that crosses the square
+    # is inside it there. The distance is convex in time, so that moment can be clipped to the duration.
     side = np.sign(px * vy - py * vx)
     corner_x, corner_y = half * np.sign(side * vy), half * np.sign(side * -vx)
     speed2 = vx * vx + vy * vy

@@ -1,7 +1,7 @@
-"""Imitation: ORCA drives the robot, and the network learns the values of the states that it passes through.
+"""Imitation: ORCA drives the robot, and the network learns the values of the states that the robot passes through.
 
-Demonstrations are stored as trajectories, so one collection serves every reward and state: the values to learn are the
-demonstrations' returns under the reward in use.
+The value to learn for a state is the return that followed it, under the reward in use. Demonstrations are stored as
+trajectories, without rewards and states, so one collection serves every reward and state.
 """
 
 from collections.abc import Callable
@@ -9,8 +9,8 @@ from collections.abc import Callable
 from sfmrl.config import Config, ConfigError
 from sfmrl.episodes import Record, play_episodes, returns_of, rewards_of
 from sfmrl.fast import new_network
-from sfmrl.fast.optimizers import OPTIMIZERS, forget
-from sfmrl.learning import Memory, Resumable, learn, mean_loss
+from sfmrl.fast.optimizers import OPTIMIZERS, flush_negligible
+from sfmrl.learning import Memory, Resumable, checked_mean_loss, learn
 from sfmrl.lookahead import step_discount
 from sfmrl.policies import orca_policy
 from sfmrl.rewards import reward_terms
@@ -43,7 +43,7 @@ def fill_memory(memory: Memory, record: Record, config: Config) -> None:
 
 
 class Fit(Resumable):
-    """A network between two epochs of imitation; it is drawn from the config's seed."""
+    """The state of imitation between two epochs: a network, first drawn from the config's seed, and its optimizer."""
 
     parts, counters = ("network", "optimizer"), ("epoch",)
 
@@ -64,20 +64,20 @@ class Fit(Resumable):
         batches = [order[first : first + size] for first in range(0, len(order), size)]
         steps = self.settings.epochs * len(batches)
         losses = []
-        forget(self.optimizer)
+        flush_negligible(self.optimizer)
         for number, rows in enumerate(batches, start=self.epoch * len(batches)):
             rate = self.optimizer.rate(self.settings.learning_rate, number / steps)
             losses.append(learn(self.network, self.optimizer, rate, *memory.take(rows)))
             progress(1)
-        loss = mean_loss(losses, self.optimizer, self.settings)
+        loss = checked_mean_loss(losses, self.optimizer, self.settings)
         self.epoch += 1
         return loss
 
 
 def fit_memory(
-    fit: Fit, memory: Memory, keep: Callable[[dict], None], progress: Callable[[int], None] = lambda batches: None
+    fit: Fit, memory: Memory, save_epoch: Callable[[dict], None], progress: Callable[[int], None] = lambda batches: None
 ) -> None:
-    """Run the epochs that are left; calls `keep` with metrics after each epoch, `progress` with 1 after each batch."""
+    """Run the epochs that are left; calls `save_epoch` with metrics after each, `progress` with 1 after each batch."""
     while fit.epoch < fit.settings.epochs:
         loss = fit.run_epoch(memory, progress)
-        keep({"epoch": fit.epoch, "loss": loss})
+        save_epoch({"epoch": fit.epoch, "loss": loss})

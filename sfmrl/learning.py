@@ -12,15 +12,15 @@ import numpy as np
 
 from sfmrl.config import Config, ConfigError, Imitation, Reinforcement
 from sfmrl.fast import FastNetwork
-from sfmrl.fast.optimizers import OPTIMIZERS, SGD, forget
+from sfmrl.fast.optimizers import OPTIMIZERS, SGD, flush_negligible
 from sfmrl.scenes import generator
 from sfmrl.states import OWN, column_names, mirrored_columns
 
 
 class Memory:
-    """The newest states (K, F) and their values, at most `capacity`; states of fewer elements get absent ones.
+    """The newest `capacity` states (K, F) with their values; states of fewer than K elements get absent ones.
 
-    With `mirror`, every other state that is taken out is mirrored left to right, which leaves its value as it is.
+    With `mirror`, every other state of a batch is mirrored left to right, which does not change its value.
     """
 
     def __init__(self, capacity: int, elements: int, *, forces: bool = False, mirror: bool = False) -> None:
@@ -37,16 +37,16 @@ class Memory:
         """Add states (S, k, F) with k <= K, and their values (S,), in order."""
         capacity = len(self.states)
         states, values = states[-capacity:], values[-capacity:]
-        where, present = (self.next + np.arange(len(states))) % capacity, states.shape[1]
-        self.states[where, :present] = states
-        self.states[where, present:, : self.own] = states[:, :1, : self.own]
-        self.states[where, present:, self.own :] = np.nan
+        where, elements = (self.next + np.arange(len(states))) % capacity, states.shape[1]
+        self.states[where, :elements] = states
+        self.states[where, elements:, : self.own] = states[:, :1, : self.own]  # absent ones have the robot's columns
+        self.states[where, elements:, self.own :] = np.nan
         self.values[where] = values
         self.next = int((self.next + len(states)) % capacity)
         self.size = min(self.size + len(states), capacity)
 
     def take(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The states (B, K, F) and values (B,) at some indices."""
+        """A batch of states (B, K, F) and values (B,), by their indices in the memory, (B,)."""
         states = self.states[rows]
         if self.mirror is not None:
             states[::2] *= self.mirror
@@ -62,16 +62,16 @@ class Memory:
         self.states[: self.size], self.values[: self.size] = saved["states"], saved["values"]
 
 
-@np.errstate(over="ignore", invalid="ignore")  # `mean_loss` finds what is not finite
+@np.errstate(over="ignore", invalid="ignore")  # `checked_mean_loss` finds what is not finite
 def learn(network: FastNetwork, optimizer: SGD, rate: float, states: np.ndarray, values: np.ndarray) -> float:
     """One step of descent at learning rate `rate` on states (B, K, F) and values (B,); returns the loss."""
     loss, _ = network.loss_and_gradients(states, values)
-    optimizer.step(rate)
+    optimizer.step(rate)  # along `network.gradient`, which the line above has written
     return loss
 
 
-def mean_loss(losses: list[float], optimizer: SGD, settings: Imitation | Reinforcement) -> float:
-    """The mean loss of some steps; raises ConfigError if it or the network is not finite, before it is saved."""
+def checked_mean_loss(losses: list[float], optimizer: SGD, settings: Imitation | Reinforcement) -> float:
+    """The mean loss of some steps; raises ConfigError if it or a weight is not finite, so that no such one is saved."""
     loss = float(np.mean(losses))
     if not (math.isfinite(loss) and np.isfinite(optimizer.network.flat).all()):
         raise ConfigError(
@@ -83,7 +83,7 @@ def mean_loss(losses: list[float], optimizer: SGD, settings: Imitation | Reinfor
 
 
 class Resumable:
-    """A training that goes on to the same bits from what it has stored: its `parts`, `counters` and generator."""
+    """Base of trainings that can be interrupted: restored `parts`, `counters` and `rng` lead on to the same bits."""
 
     parts: tuple[str, ...]
     counters: tuple[str, ...]
@@ -105,21 +105,28 @@ class Resumable:
 
 
 class Learner(Resumable):
-    """Deep V-learning between two rounds: the networks, the memory, and what has been counted and measured so far."""
+    """The state of deep V-learning between two rounds of episodes.
+
+    network: what is trained
+    actor: what explores: the network or, in rounds of several episodes, a copy from before the latest batches
+    target: a copy that is renewed at intervals, for the values to learn
+    average: the mean of the network over the last batches (Polyak and Juditsky, 1992)
+    episode, batch: how many have been learnt from
+    failed: scenes in which the robot failed at its last try, each with the number of the episode after that round
+    rows, validations: the lines of metrics.csv and validation.csv
+    """
 
     parts = ("network", "actor", "target", "average", "optimizer", "memory")
     counters = ("episode", "batch", "failed", "rows", "validations")
 
     def __init__(self, network: FastNetwork, memory: Memory, config: Config) -> None:
         self.config, self.memory, self.network = config, memory, network
-        self.target = network.copy()
-        self.average = network.copy()  # of the network over the last batches (Polyak and Juditsky, 1992)
-        # What explores: the network itself, or a copy from before the batches that are learnt at the same time.
+        self.target, self.average = network.copy(), network.copy()
         self.actor = network.copy() if config.reinforcement.parallel > 1 else network
         self.optimizer = OPTIMIZERS[config.optimizer](network)
         self.rng = generator(config.seed, "batches")
         self.episode = self.batch = 0
-        self.failed: list[list[int]] = []  # scenes in which the robot failed at its last try, and the episode after it
+        self.failed: list[list[int]] = []
         self.rows: list[dict[str, Any]] = []
         self.validations: list[dict[str, Any]] = []
 
@@ -133,8 +140,8 @@ class Learner(Resumable):
         settings, stored = self.config.reinforcement, len(self.memory)
         if not (stored and batches):
             return math.nan
-        forget(self.optimizer)
-        # All draws in a row: between batches, each would take eight times as long, out of the processor's cache.
+        flush_negligible(self.optimizer)
+        # Draw all batches first: between steps of descent, a draw takes eight times as long, with cold caches.
         size = min(settings.batch_size, stored)
         draws = [self.rng.choice(stored, size, replace=False) for _ in range(batches)]
         losses = []
@@ -144,10 +151,10 @@ class Learner(Resumable):
             if settings.average:
                 self.average.flat += np.float32(1 / settings.average) * (self.network.flat - self.average.flat)
             self.batch += 1
-        return mean_loss(losses, self.optimizer, settings)
+        return checked_mean_loss(losses, self.optimizer, settings)
 
     def advance(self, episodes: int) -> None:
-        """Count `episodes` more as learnt from, and renew the target network if its interval has passed."""
+        """Count these episodes as learnt from, and renew the target network at its interval."""
         interval = self.config.reinforcement.target_interval
         renew = self.episode // interval < (self.episode + episodes) // interval
         self.episode += episodes
@@ -155,12 +162,13 @@ class Learner(Resumable):
             self.target.flat[:] = self.network.flat
 
     def scenes_for(self, episodes: range) -> list[int]:
-        """The scenes in which to play the next episodes: their own or, in up to half of them, earlier failures.
+        """The numbers of the scenes in which to play the next episodes.
 
-        Failures of the previous round do not count yet, since that round may be learnt from at the same time.
+        They are the episodes' own; with `retry`, up to half of them are scenes of earlier failures. Failures of the
+        previous round wait for one more, since that round may be learnt from at the same time.
         """
-        learnt = [scene for scene, after in self.failed if after < episodes.start]
-        again = learnt[: len(episodes) // 2] if self.config.reinforcement.retry else []
+        earlier = [scene for scene, after in self.failed if after < episodes.start]
+        again = earlier[: len(episodes) // 2] if self.config.reinforcement.retry else []
         return [*again, *episodes[len(again) :]]
 
     def note_failures(self, scenes: np.ndarray, outcome: np.ndarray) -> None:
@@ -170,5 +178,5 @@ class Learner(Resumable):
         self.failed += [[scene, following] for scene in scenes[outcome != "success"].tolist()]
 
     def renew_actor(self) -> None:
-        """Let the next episodes be played with the network as it is now."""
+        """Copy the network as it is now to the actor, which plays the next round."""
         self.actor.flat[:] = self.network.flat

@@ -31,7 +31,7 @@ class Builder:
     def __init__(self, rngs: list[np.random.Generator], numbers: np.ndarray, rows: int, circle: float) -> None:
         self.rngs, self.numbers, self.circle = rngs, numbers, circle
         self.points = np.full((2, len(rngs), rows, 2), np.nan)
-        self.start, self.goal = self.points
+        self.start, self.goal = self.points  # views: what is written to one shows in the other
         self.start[:, 0], self.goal[:, 0] = (0.0, -4.0), (0.0, 4.0)
         self.square = np.zeros((len(rngs), rows), dtype=bool)
         self.label = np.full(len(rngs), "", dtype=object)

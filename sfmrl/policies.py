@@ -36,7 +36,7 @@ POLICIES: dict[str, Policy] = {"linear": linear_policy, "orca": orca_policy, "sf
 
 
 def find_policy(policy: str | Path | Policy, reward: Any = None) -> Policy:
-    """A function as it is, a name as `load_policy` reads it; the `reward` that the user names may be run."""
+    """The policy, given as a function or by a name for `load_policy`; the `reward` that the user names may be run."""
     if isinstance(policy, (str, Path)):
         return load_policy(policy, trust_reward=getattr(reward, "reward", reward))
     if not callable(policy):

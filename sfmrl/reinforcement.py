@@ -11,28 +11,29 @@ from sfmrl.learning import Learner
 
 
 def reinforce(
-    learner: Learner, play: Callable[..., Callable[[], Explored]], until: int
+    learner: Learner, start_exploring: Callable[..., Callable[[], Explored]], until: int
 ) -> Iterator[tuple[Record, float]]:
     """Train up to episode `until`; after each round of episodes, yield their record and the mean loss.
 
-    `play(network, episodes, scenes)` starts to `explore` and returns a function that waits for the result. So a round
-    of several episodes can be played on a second process while the batches of the previous round are learnt. Both read
-    only what is fixed before they begin, so the numbers do not depend on which ends first.
+    `start_exploring(network, episodes, scenes)` starts to `explore` and returns a function that waits for the result. A
+    round of several episodes can be played on a second process while the batches of the previous round are learnt: it
+    is played with a copy of the network, the actor, so the numbers do not depend on which ends first. A round of one
+    episode is played when its result is asked for, with the network as it is by then.
     """
     settings = learner.config.reinforcement
 
-    def start(first: int) -> Callable[[], Explored]:
+    def start_round(first: int) -> Callable[[], Explored]:
         episodes = range(first, min(first + settings.parallel, until))
-        return play(learner.actor, episodes, learner.scenes_for(episodes))
+        return start_exploring(learner.actor, episodes, learner.scenes_for(episodes))
 
-    ahead = start(learner.episode)
+    finish_round = start_round(learner.episode)
     while learner.episode < until:
-        record, was_random = ahead()  # played epsilon-greedily
-        remember(learner, record, was_random)  # state -> value to learn
-        learner.renew_actor()
+        record, was_random = finish_round()  # played epsilon-greedily
+        remember(learner, record, was_random)  # store each state with its value to learn
+        learner.renew_actor()  # here, so that the next round can start before the learning does
         following = learner.episode + len(record.steps)
         if following < until:
-            ahead = start(following)
+            finish_round = start_round(following)
         loss = learner.learn(len(record.steps) * settings.batches)  # gradient descent
         learner.advance(len(record.steps))  # renew the target network at its interval
         yield record, loss

@@ -58,7 +58,10 @@ OwnReward = Callable[[Transition, Reward], np.ndarray]
 
 
 def crowd_terms(transition: Transition, p: Reward) -> Terms:
-    """CrowdNav's reward, the paper's first formula, whose slope is for a step of 0.25 s: terms by name, each (...)."""
+    """CrowdNav's reward, the paper's first formula, with the numbers in `p`: terms by name, each (...).
+
+    The slope of the discomfort is for a step of 0.25 s.
+    """
     end, close = _cases(transition, p)
     discomfort = p.discomfort_slope * (transition.separation - p.discomfort_distance) * (transition.time_step / 0.25)
     return {
@@ -71,17 +74,18 @@ def crowd_terms(transition: Transition, p: Reward) -> Terms:
 def sfm_terms(transition: Transition, p: Reward) -> Terms:
     """The paper's Social Force Model reward, its second formula: terms by name, each (...).
 
-    v is the robot's velocity in the step, v_pref leads to the goal from where the step starts, d_g is where it ends.
+    In the paper's symbols, v is the robot's velocity during the step, v_pref its preferred velocity at the step's
+    start, and d_g the distance to the goal at the step's end.
     """
     end, close = _cases(transition, p)
     free = (end == RUNNING) & ~close
     gap = np.clip(transition.separation, 0.0, p.discomfort_distance)  # exp must not overflow where it does not count
-    off = length(p.k * (transition.velocity - transition.preferred_velocity))
+    deviation = length(p.k * (transition.velocity - transition.preferred_velocity))
     return {
         "collision": np.where(end == COLLISION, p.collision, 0.0),
         "goal": np.where(end == SUCCESS, p.success, 0.0),
         "discomfort": np.where(close, p.discomfort_amplitude * np.exp(-p.discomfort_decay * gap), 0.0),
-        "velocity": np.where(free, p.k - off / 2, 0.0),
+        "velocity": np.where(free, p.k - deviation / 2, 0.0),
         "distance": np.where(free, -p.distance_weight * transition.goal_distance, 0.0),
     }
 
@@ -94,7 +98,7 @@ def sfm_discount_terms(transition: Transition, p: Reward) -> Terms:
 
 
 def _cases(transition: Transition, p: Reward) -> tuple[np.ndarray, np.ndarray]:
-    """The outcomes (...), and which steps go on but are too close to an element (...)."""
+    """The outcomes (...), and which steps do not end the episode but come too close to an element (...)."""
     end = np.asarray(transition.outcome)
     return end, (end == RUNNING) & (transition.separation < p.discomfort_distance)
 
@@ -105,10 +109,10 @@ REWARDS = {"crowd": crowd_terms, "sfm": sfm_terms, "sfm-discount": sfm_discount_
 def reward_terms(reward: str | Reward | OwnReward) -> Callable[[Transition], Terms]:
     """The reward as a function from a transition to terms by name, which add up to the reward.
 
-    A user's own (a function, or the name `file.py:function` or `package.module:function`) takes (transition, settings)
-    and returns an array (...), which becomes the one term "reward". Its arrays are read-only copies; the settings of a
-    function are `Reward()`. Raises ConfigError if there is no such reward, and if a user's own one fails or returns
-    another shape or numbers that are not finite; UntrustedReward if only a file names it.
+    A user's own reward (a function, or its name `file.py:function` or `package.module:function`) takes (transition,
+    settings) and returns an array (...), which becomes the one term "reward". It gets read-only copies of the arrays;
+    one given as a function gets the settings `Reward()`. Raises ConfigError if there is no such reward, and if a user's
+    own fails or returns another shape or numbers that are not finite; UntrustedReward if only a file names it.
     """
     if callable(reward):
         return _own_terms(reward, Reward(), name_of(reward))

@@ -106,7 +106,7 @@ def _filled(name: str, value: Any, kind: type, shape: tuple[int, ...]) -> np.nda
 
 
 def generator(seed: int, stream: str, *number: int) -> np.random.Generator:
-    """The generator of one of `STREAMS`, e.g. of a phase, or of one `number` (an episode) in it."""
+    """The random generator of a stream in `STREAMS`, such as a phase, or of the episode `number` in that stream."""
     return np.random.default_rng([seed, STREAMS.index(stream), *number])
 
 

@@ -55,7 +55,7 @@ class World(Batch):
 
     @property
     def shape(self) -> tuple[np.ndarray, np.ndarray]:
-        """Half the sides of solid squares (0 for discs) and radii of discs (0 for solid squares), each (E, N) m."""
+        """Half sides of solid squares (0 for others), and radii of discs (0 for solid squares), each (E, N) m."""
         solid = self.square & (self.simulation.squares == "solid")
         return np.where(solid, self.radius, 0.0), np.where(solid, 0.0, self.radius)
 

@@ -15,7 +15,7 @@ from sfmrl.episodes import Record, play, returns_of
 from sfmrl.evaluation import evaluate
 from sfmrl.exploration import epsilon, explore, remember
 from sfmrl.fast import FastNetwork, new_network
-from sfmrl.fast.optimizers import OPTIMIZERS, forget
+from sfmrl.fast.optimizers import OPTIMIZERS, flush_negligible
 from sfmrl.imitation import Fit, demonstrate, fill_memory, fit_memory, make_memory
 from sfmrl.learning import Learner, Memory, learn
 from sfmrl.lookahead import SarlPolicy
@@ -62,16 +62,16 @@ def test_steps_of_descent_are_those_of_torch_s_optimizers(name):
 
 
 @pytest.mark.parametrize("name", ["sgd", "adam"])
-def test_forgetting_spares_denormal_numbers_and_changes_no_parameter(name):
-    def train(forgetting: bool) -> tuple[FastNetwork, np.ndarray]:
+def test_flushing_negligible_gradients_spares_denormal_numbers_and_changes_no_parameter(name):
+    def train(flushing: bool) -> tuple[FastNetwork, np.ndarray]:
         network = plain_network(4)
         network.parameters["mlp1.0.bias"][:40] = -100.0  # forty units that are active only at first
         optimizer = OPTIMIZERS[name](network)
         for number in range(1200):
             states, values = random_batch(number % 7, count=2, elements=2)
             learn(network, optimizer, 1e-3, states * np.float32(50.0 if number < 3 else 1.0), values)
-            if forgetting and number % 200 == 0:
-                forget(optimizer)
+            if flushing and number % 200 == 0:
+                flush_negligible(optimizer)
         return network, optimizer.moments[0]
 
     (plain, before), (spared, after) = train(False), train(True)

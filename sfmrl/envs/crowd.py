@@ -1,6 +1,7 @@
-"""What agents observe and do, and E episodes side by side in which they do it.
+"""Observations and actions of agents, and E episodes side by side.
 
-Both are in the frame of the value network's states: the robot is the origin, and the x axis points to its goal.
+Observations and actions are in the frame of the value network's states: the robot is the origin, and the x axis points
+to its goal.
 `observe` and `robot_velocity` are functions of a `World`, so that a trained agent can be a policy of `sfmrl.play`.
 """
 
@@ -18,8 +19,8 @@ from sfmrl.scenes import sample_scenes
 from sfmrl.states import ELEMENT, OWN
 from sfmrl.world import World, advance, crowd_velocities, reset, transition
 
-CONFIGS = {forces: Config(forces=forces) for forces in (False, True)}  # of the states
-AHEAD = 16  # scenes, at least, that are prepared together, which is faster than one by one
+CONFIGS = {forces: Config(forces=forces) for forces in (False, True)}  # for the columns of the states
+AHEAD = 16  # the least number of scenes to sample together, which is faster than one by one
 FIRST = 10**9  # a seed chooses an episode's number below this
 
 
@@ -39,7 +40,7 @@ def observe(world: World, forces: bool = False) -> dict[str, np.ndarray]:
 
 
 def robot_velocity(world: World, action: np.ndarray) -> np.ndarray:
-    """The robots' velocities (E, 2) in m/s of their agents' actions.
+    """The robots' velocities (E, 2) in m/s for the agents' actions.
 
     An action is a share of v_pref (forward, left), cut to the unit disc, (E, 2), or the index of one of SARL's 81
     actions with heading 0 as forward, (E,) integers. Raises ValueError for other shapes and where one is not finite.
@@ -110,7 +111,7 @@ class Crowd:
         self.labels = np.concatenate((self.labels, labels))[rows]
 
     def info(self, step: Transition | None = None) -> dict[str, np.ndarray]:
-        """Facts of each episode, (E,), after a step or, without one, at the start."""
+        """Facts about each episode, (E,), after a `step` or, without one, at the start."""
         if step is None:
             outcome = np.full(self.count, RUNNING)
             separation = np.fmin(self.world.gap, np.inf).min(axis=1, initial=np.inf)
@@ -142,7 +143,7 @@ class Crowd:
 
 
 def _joined(*worlds: World) -> World:
-    """The episodes of several worlds in one; where one has fewer edges, the others are absent (NaN)."""
+    """The episodes of several worlds in one; worlds with fewer edges get absent ones (NaN)."""
     most = max(world.edges.values.shape[1] for world in worlds)
     values = np.full((len(worlds[0].edges.values), most, sum(map(len, worlds))), np.nan, np.float32)
     end = 0

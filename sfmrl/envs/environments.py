@@ -22,7 +22,7 @@ try:
 except ImportError:
     raise ImportError('sfmrl.envs needs Gymnasium; install it with: pip install "sfmrl[gym]"') from None
 
-BOUND = 100.0  # m, m/s or m/s^2, of all that is observed: a map is at most 36 m wide, and an episode leads 25 m away
+BOUND = 100.0  # m, m/s or m/s^2, of all observations: maps are at most 36 m wide, and a robot goes at most 25 m
 
 
 def _spaces(crowd: Crowd, actions: str) -> tuple[Space, Space]:
@@ -45,8 +45,8 @@ def _mode(mode: str | None, known: list[str]) -> str | None:
 class CrowdEnv(Env):
     """One episode at a time.
 
-    `reset(options={"episode": 17})` starts scene 17 of the phase and `reset()` the scene after the last; a seed
-    chooses a number to go on from.
+    `reset(options={"episode": 17})` starts scene 17 of the phase, and `reset()` the scene after the last; with a seed,
+    `reset` starts a scene chosen at random.
     """
 
     metadata = {"render_modes": ["ansi", "rgb_array"], "render_fps": 4}  # noqa: RUF012
@@ -136,7 +136,7 @@ def _one(info: dict[str, np.ndarray]) -> dict[str, Any]:
 
 
 def _masked(info: dict[str, Any], which: np.ndarray) -> dict[str, Any]:
-    """The info and, as Gymnasium has it, which episodes each entry is of, (E,) bool, under its name after a "_"."""
+    """The info and, as is Gymnasium's convention, under "_" and each name which episodes have the entry, (E,) bool."""
     return info | {f"_{name}": which.copy() for name in info}
 
 

@@ -23,11 +23,11 @@ MARGIN = 1.5  # m around all goals
 def as_text(crowd: Crowd, past: list[tuple[World, Transition]]) -> str:
     """The present moment in 80 x 24 characters, after the `past`: the world before each step so far, and the step."""
     steps, running = list(past), not past or past[-1][1].outcome[0] == RUNNING
-    if running:  # a story has an end: after this moment, let time be up
+    if running:  # a story needs an end, so add a step that times out
         rest = transition(crowd.world, np.zeros((1, 2)))
         steps.append((crowd.world, replace(rest, outcome=np.array([TIMEOUT]))))
     record = _recorded(crowd, steps)
-    own = not isinstance(crowd.reward, Reward)  # a function, of which a story knows nothing
+    own = not isinstance(crowd.reward, Reward)  # a function, which a story cannot take
     story = make_story(record, 0, None, Reward() if own else crowd.reward, DISCOUNT)
     if own:
         terms = crowd.terms(record.transition[0])
@@ -39,7 +39,7 @@ def as_text(crowd: Crowd, past: list[tuple[World, Transition]]) -> str:
 
 
 def _recorded(crowd: Crowd, steps: list[tuple[World, Transition]]) -> Record:
-    """The record of the one episode of a crowd; of rewards it has none."""
+    """The record, without rewards, of a crowd's one episode."""
     worlds = [world for world, _ in steps] + [crowd.world]
     parts = zip(*(vars(step).values() for _, step in steps), strict=True)
     at = worlds[0]

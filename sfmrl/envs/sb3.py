@@ -60,6 +60,6 @@ def as_sb3(envs: CrowdVectorEnv) -> Any:
 
 
 def _rows(info: dict[str, Any]) -> list[dict[str, Any]]:
-    """The infos of each episode, without those of ended ones."""
+    """Each episode's info as a dictionary, without what is known of ended episodes."""
     names = [name for name in info if not name.startswith(("_", "final_"))]
     return [dict(zip(names, row, strict=True)) for row in zip(*(info[name].tolist() for name in names), strict=True)]

@@ -28,7 +28,7 @@ BY_STATE = ("mean", "pooled", "joint", "mlp3.0", "mlp3.2", "mlp3.4")  # layers w
 SMALL = 1_000_000  # rows x columns x depth of the largest product that AVX-512 kernels leave to another kernel
 LEAST, TINY = np.float32(-1e30), np.float32(1e-30)  # a score below all, and a number that makes 0 of 0 / 0
 
-DIVERGED = np.errstate(over="ignore", invalid="ignore")  # callers find what is not finite
+DIVERGED = np.errstate(over="ignore", invalid="ignore")  # callers check that values and losses are finite
 
 
 class FastNetwork:
@@ -103,7 +103,8 @@ class FastNetwork:
         layers = Layers(p, states.shape[:3], element_rows, state_rows)
         here = ~np.isnan(states[..., own])  # (E, A, K)
         count = here.sum(-1, keepdims=True)
-        part = layers["part"] = np.divide(here, np.maximum(count, 1), dtype=np.float32)
+        # Weights of the elements in the mean of the crowd: equal ones, as `share` has those of attention.
+        equal = layers["equal"] = np.divide(here, np.maximum(count, 1), dtype=np.float32)
         anybody = layers["anybody"] = (count > 0).astype(np.float32)  # (E, A, 1)
         rows = layers.padded("rows", states.shape[-1], layers.element_rows, here[0].size)
         layers.by_element(rows)[...] = states
@@ -111,7 +112,7 @@ class FastNetwork:
             layers.by_element(rows)[~here] = 0
         hidden = layers.dense(layers.dense(rows, "mlp1.0"), "mlp1.2")
         feature = layers.dense(hidden, "mlp2.0")
-        mean = layers.weighted("mean", part, hidden)
+        mean = layers.weighted("mean", equal, hidden)
         share = layers["share"] = self._attention(layers, hidden, mean, here)  # (E, A, K)
         pooled = layers.weighted("pooled", share, feature)
         crowd = layers.product(pooled, "mlp2.2", p["mlp2.2.weight"]) + p["mlp2.2.bias"]
@@ -146,8 +147,8 @@ class FastNetwork:
 
         Comments say which array of the forward pass is dead: not read again, so a later gradient is written into it.
         """
-        p, found, (batch, elements) = self.parameters, self.gradients, layers["share"][0].shape
-        share, part, anybody = (layers[name][0] for name in ("share", "part", "anybody"))
+        p, d_p, (batch, elements) = self.parameters, self.gradients, layers["share"][0].shape
+        share, equal, anybody = (layers[name][0] for name in ("share", "equal", "anybody"))
         rows, first, hidden, feature, score_1, score_2 = (layers[name][: batch * elements] for name in BY_ELEMENT)
         mean, pooled, joint, *last = (layers[name][:batch] for name in BY_STATE)
 
@@ -160,21 +161,21 @@ class FastNetwork:
         d_score = (share * (d_share - (share * d_share).sum(1, keepdims=True))).reshape(-1, 1)
         d_feature = relu_back(outer(share, d_pooled, "d_feature"), feature)  # mlp2.0 is dead now
 
-        np.matmul(score_2.T, d_score, out=found["attention.4.weight"])  # the bias shifts all scores: its gradient is 0
+        np.matmul(score_2.T, d_score, out=d_p["attention.4.weight"])  # the bias shifts all scores: its gradient is 0
         d_score_2 = np.multiply(d_score, p["attention.4.weight"][:, 0], out=array("mlp2.0", *score_2.shape))
         d_score_2 = relu_back(d_score_2, score_2)  # attention.2 is dead now
         d_score_1 = self._through("attention.2", d_score_2, score_1, "attention.2")
         d_score_1 = relu_back(d_score_1, score_1)  # attention.0 is dead now
         d_both = np.matmul(np.ones((1, elements), np.float32), d_score_1.reshape(batch, elements, -1))[:, 0]  # (B, 100)
-        d_by_hidden, d_by_mean = _halves(found["attention.0.weight"])
+        d_by_hidden, d_by_mean = _halves(d_p["attention.0.weight"])
         np.matmul(hidden.T, d_score_1, out=d_by_hidden)
         np.matmul(mean.T, d_both, out=d_by_mean)
-        np.matmul(np.ones(batch, np.float32), d_both, out=found["attention.0.bias"])
+        np.matmul(np.ones(batch, np.float32), d_both, out=d_p["attention.0.bias"])
 
         by_hidden, by_mean = _halves(p["attention.0.weight"])
         d_hidden = self._through("mlp2.0", d_feature, hidden, "attention.0")  # d_feature is dead now
         d_hidden += np.matmul(d_score_1, by_hidden.T, out=array("d_feature", *hidden.shape))
-        d_hidden += outer(part, np.matmul(d_both, by_mean.T), "d_feature")
+        d_hidden += outer(equal, np.matmul(d_both, by_mean.T), "d_feature")
         d_first = self._through("mlp1.2", relu_back(d_hidden, hidden), first, "d_first")
         self._by_parameters("mlp1.0", relu_back(d_first, first), rows)
 

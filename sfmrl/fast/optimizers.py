@@ -8,13 +8,13 @@ from sfmrl.fast.network import FastNetwork
 
 MOMENTUM = 0.9  # of SGD, as in the paper
 MEAN, SQUARE, TINY = 0.9, 0.999, 1e-8  # of Adam, as its authors suggest
-NEGLIGIBLE = 1e-20  # a mean gradient too small to move a parameter; hundreds of steps later it would be denormal
+NEGLIGIBLE = 1e-20  # a mean gradient too small to move a parameter; hundreds of steps later it is denormal
 
 
 class SGD:
-    """Descent along a sum of the gradients that decays by the factor `MOMENTUM` at each step (Polyak, 1964)."""
+    """Descent along the sum of all gradients so far, which decays by `MOMENTUM` at each step (Polyak, 1964)."""
 
-    falls = False  # whether the learning rate falls to 0 over a training, in a straight line
+    falls = False  # whether the learning rate falls linearly to 0 over a training
 
     def __init__(self, network: FastNetwork) -> None:
         self.network = network
@@ -43,7 +43,7 @@ class SGD:
 
 
 class Adam(SGD):
-    """Descent along the mean of the gradients over the root of the mean of their squares (Kingma and Ba, 2015)."""
+    """Descent along the mean gradient, divided by the root of the mean squared gradient (Kingma and Ba, 2015)."""
 
     falls = True
 
@@ -73,11 +73,11 @@ class Adam(SGD):
 OPTIMIZERS: dict[str, type[SGD]] = {"sgd": SGD, "adam": Adam}
 
 
-def forget(optimizer: SGD) -> None:
-    """Zero the negligible entries of an optimizer's mean gradient; to be called every few hundred steps.
+def flush_negligible(optimizer: SGD) -> None:
+    """Zero the entries of an optimizer's mean gradient that are too small to matter; call it every few hundred steps.
 
-    A unit that is never active again has no gradient, and its mean decays until it is denormal, which processors are
-    slow with: with a tenth of the parameters denormal, a step of Adam took more than twice as long.
+    A unit that is never active again has no gradient. Its mean gradient decays until it is denormal, and processors are
+    slow with denormal numbers: with a tenth of the entries denormal, a step of Adam took more than twice as long.
     """
     mean = optimizer.moments[0]
     mean[np.abs(mean) < NEGLIGIBLE] = 0.0

@@ -1,6 +1,6 @@
 """Check an installation: versions, terminal, ORCA, the same bits on two threads, and which bits are computed here.
 
-NumPy and torch are imported inside the checks, which report it if one of them is missing. Writes nothing.
+NumPy and torch are imported inside the checks, which report a missing one. Writes nothing.
 """
 
 import os
@@ -14,7 +14,7 @@ from rich.console import Console
 from sfmrl import __version__
 from sfmrl.lessons import Finding
 
-COLUMNS, LINES = 80, 24  # that the pictures are made for
+COLUMNS, LINES = 80, 24  # the size of terminal that the pictures are made for
 REINSTALL = "pip install --force-reinstall"
 
 

@@ -63,7 +63,7 @@ def explain_episode(record: Record, row: int, policy: Any, reward: Reward, disco
     """Explain the episode in one row of a record, under a reward and a discount per second at 1 m/s.
 
     Each step's row has the terms of `reward` by their names, and those of all rewards as "sfm: distance" and so on. It
-    has values of actions if the policy looks ahead and somebody is there to see.
+    has values of actions if the policy looks ahead and the scene has elements.
     """
     story = make_story(record, row, policy, reward, discount)
     one = record.take(np.array([row]))
@@ -87,7 +87,7 @@ def explain_episode(record: Record, row: int, policy: Any, reward: Reward, disco
 
 
 def _columns(story: Story, transition: Transition, factors: np.ndarray) -> dict[str, Sequence]:
-    """Return what there is to say of every step, by name, (T,) each; `factors` discount its reward to the start."""
+    """Return the columns of the steps by name, (T,) each; `factors` (T,) discount their rewards to the start."""
     gap, push, paid = story.separations.min(axis=1, initial=np.inf), resultant(story.force[:-1]), total(story.terms)
     return {
         "step": np.arange(1, story.last + 1),
@@ -129,7 +129,7 @@ def chosen_steps(
 
 
 def mark(event: str) -> str:
-    """Return the character that stands for a step's events, that of the first one, or "" where there are none."""
+    """Return the mark of a step's first event, a character; "" without events."""
     return next((sign for sign, (beginnings, _) in MARKS.items() if event.startswith(beginnings)), "")
 
 
@@ -146,7 +146,7 @@ def _range(steps: str, count: int) -> tuple[int, int]:
 
 
 def _events(story: Story) -> list[str]:
-    """Return what happened in each step, in words separated by "; ", the weightiest first; "" where nothing did."""
+    """Return the events of each step in words, separated by "; ", the most important first; "" without any."""
     events: list[list[str]] = [[] for _ in range(story.last)]
     end = {"success": "goal reached", "collision": "collision with ", "timeout": "time is up"}[story.outcome]
     events[-1].append(end + " and ".join(map(story.called, story.hit)))
@@ -165,7 +165,7 @@ def _events(story: Story) -> list[str]:
 
 
 def _nearest(story: Story) -> list[str]:
-    """Return the element to which the gap of each step is smallest, by name; "" where nobody else is there."""
+    """Return the name of the element with the smallest gap in each step; "" without elements."""
     return [story.called(1 + int(gaps.argmin())) if np.isfinite(gaps).any() else "" for gaps in story.separations]
 
 

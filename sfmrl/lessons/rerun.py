@@ -1,4 +1,4 @@
-"""Play again what a run's numbers come from: its network's test episodes, or ORCA's demonstrations."""
+"""Play again the episodes behind a run's numbers: its network's test episodes, or ORCA's demonstrations."""
 
 import math
 from dataclasses import dataclass
@@ -21,20 +21,20 @@ from sfmrl.runs.training import EVALUATION_SEED
 from sfmrl.runs.weights import load_weights
 from sfmrl.scenes import sample_scenes, thinned
 
-TIME_TOLERANCE = 0.05  # by how much times may differ, in half of the episodes, where the bits differ
+TIME_TOLERANCE = 0.05  # where the bits differ, the largest median difference of the episodes' times, as a share
 
 
 class Disagreement(Exception):
-    """What does not agree, in words."""
+    """Numbers on file and numbers played again do not agree; the text says which."""
 
 
 @dataclass(frozen=True)
 class Rerun:
-    """Plays a run's episodes again, at most `episodes`, of which the share `tolerance` may end otherwise.
+    """Plays at most `episodes` of a run's episodes again, of which a share of `tolerance` may end otherwise.
 
-    `alike` says whether this machine computes the bits of the run. If so, an episode with another number of steps ends
-    otherwise, too; if not, times are held to `TIME_TOLERANCE`. The methods return what they found, in words, or raise
-    Disagreement.
+    `alike` says whether this machine computes the bits of the run. If so, an episode with another number of steps
+    counts as ending otherwise; if not, times are held to `TIME_TOLERANCE`. The methods return a sentence on what
+    agrees, or raise Disagreement.
     """
 
     episodes: int
@@ -53,7 +53,7 @@ class Rerun:
         count = min(self.episodes, settings.episodes)
         scenes = sample_scenes(settings.environment, count, run.config.seed, phase="imitation")
         scenes = thinned(scenes, run.config.sparse, run.config.seed)
-        again = play_episodes(scenes, orca_policy, Reward(), simulation)  # whose paths depend on no reward
+        again = play_episodes(scenes, orca_policy, Reward(), simulation)  # any reward: ORCA's paths do not depend on it
         stored = stored.take(np.arange(count))
         exact = np.array_equal(stored.position[:, : again.position.shape[1]], again.position, equal_nan=True)
         return self.judged(f"of {whole}, played by ORCA again,", again, stored.outcome, stored.steps, exact)
@@ -69,7 +69,7 @@ class Rerun:
         return self.judged(what, record, outcome, steps.astype(int), stored == again)
 
     def recovery(self, run: Run) -> str:
-        """Compare test episodes of the network with recovery with their failures, which alone are on file."""
+        """Compare test episodes with recovery with the list of their failures, all of them that is on file."""
         record, whole = self._play(run, WEIGHTS, recover=True), run.config.reinforcement.test_episodes
         stored = outcomes(result_of(run)["with_recovery"], whole)
         return self.judged(f"of {counted(whole, 'test episode')}", record, np.array(stored))

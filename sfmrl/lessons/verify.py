@@ -22,7 +22,7 @@ from sfmrl.runs.weights import load_weights
 from sfmrl.scenes import DRAWN
 
 TOLERANCE = 0.05  # share of episodes that may end otherwise where this machine does not compute the bits of the run
-ODD = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError)  # what odd content leads its readers to
+MALFORMED = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError)  # errors on unexpected content
 
 
 def verify(
@@ -45,7 +45,7 @@ def verify(
     yield _finding(SUMS, _sums, folder)
     try:
         run = open_run(folder)
-    except (ConfigError, DamagedFile, *ODD, OSError) as error:
+    except (ConfigError, DamagedFile, *MALFORMED, OSError) as error:
         yield Finding("run.json", False, f"nothing more can be told of this run: {error}")
         return
     yield _finding("training", _finished, run)
@@ -81,7 +81,7 @@ def _reinforcement(run: Run, rerun: Rerun) -> Iterator[Finding]:
 
 
 def _finding(what: str, check: Callable[..., str | Finding], *given: Any) -> Finding:
-    """Return what a check returns; a finding that it does not agree where it raises, whatever led it to."""
+    """Run a check and return its finding; an error in the check is a finding that the run does not agree."""
     try:
         said = check(*given)
         return said if isinstance(said, Finding) else Finding(what, True, said)
@@ -91,7 +91,7 @@ def _finding(what: str, check: Callable[..., str | Finding], *given: Any) -> Fin
         return Finding(what, None, "not checked: the network chooses by its reward, which was not run")
     except (Disagreement, ConfigError, DamagedFile, OSError) as error:
         return Finding(what, False, str(error))
-    except ODD as error:
+    except MALFORMED as error:
         return Finding(what, False, f"not as sfmrl writes it: {type(error).__name__}: {error}")
 
 
@@ -140,7 +140,7 @@ def _weights(run: Run) -> str:
 
 
 def _own_reward(run: Run, trust: bool) -> str | Finding:
-    """A run's own reward is there and unchanged; not judged, and not to be run, without `trust`."""
+    """A user's reward exists and has not changed; without `trust`, it is not judged and must not be run."""
     name = run.config.reward.reward
     if run.facts["own_reward"] != reward_digest(run.config.reward):
         raise Disagreement(f"{name} is not the file that the run was trained with; put that one there")
@@ -164,7 +164,7 @@ def _versions(run: Run) -> str | Finding:
 
 
 def _began(run: Run) -> str | Finding:
-    """A reinforcement began with the demonstrations of the imitation run that it names."""
+    """The training began with the demonstrations of the imitation run that it names."""
     source = run.imitation
     if weights := run.facts.get("weights"):
         return f"none: it went on from {Path(weights['file']).name}, SHA-256 {weights['sha256']}"

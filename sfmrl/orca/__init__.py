@@ -1,8 +1,8 @@
 """Optimal Reciprocal Collision Avoidance (ORCA): velocities at which nobody collides if everybody does the same.
 
-For each neighbour, an agent gives up the velocities on one side of a line in velocity space (`agents.py`), and for
-each edge of a polygon near by (`edges.py`). It then moves with the velocity nearest to its preferred one on the
-permitted side of every line (`programs.py`).
+For each neighbour (`agents.py`) and each edge of a polygon near by (`edges.py`), an agent gives up the velocities on
+one side of a line in velocity space. Of the velocities on the permitted side of every line, it then takes the one
+nearest to its preferred velocity (`programs.py`).
 
 Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, sections 4 and 5, and where the paper leaves
 details open, the behaviour of the authors' RVO2 library. Left out: a search tree for neighbours.
@@ -84,7 +84,7 @@ def orca_velocities(
 
 
 def _velocities(agent, lines, edges, obstacle_time_horizon):
-    """Return the velocities (2, C, E) of agents (8, C, E) who keep their half-planes (4, M, C, E) and off the edges."""
+    """Return the velocities (2, C, E) of agents (8, C, E), given their half-planes (4, M, C, E) and nearby edges."""
     shape = agent.shape[1:]
     preferred, speed = agent[6:].reshape(2, -1), agent[5].reshape(-1)
     lines = lines.reshape(4, -1, speed.size)
@@ -148,7 +148,7 @@ def _neighbors(planes, own, others, most):
 
 
 def _least(distance, count):
-    """Return where the least of the integers (K, M) are, (K, count) in ascending order; of equal ones the first."""
+    """Return the indices (K, count) of the least integers in each row (K, M), ascending; of equal ones the first."""
     limit = np.partition(distance, count - 1, axis=1)[:, count - 1 : count]
     chosen = np.flatnonzero(distance <= limit)
     if len(chosen) > count * len(distance):  # ties
@@ -175,7 +175,7 @@ def _edges(polygons, position):
 
 
 def _planes(position, velocity, radius, max_speed, preferred_velocity, origin):
-    """Return what ORCA is given as one array (8, N, E), by component and checked, and who is present (N, E)."""
+    """Return ORCA's inputs, checked, as one array (8, N, E) of components, and which agents are present, (N, E)."""
     episodes, rows = shape = position.shape[:2]
     planes = np.empty((8, rows, episodes), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):

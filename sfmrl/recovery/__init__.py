@@ -1,7 +1,7 @@
 """Recovery, an optional aid: lead a robot that makes no progress around the squares, along geodesic distances.
 
-`planner.py` computes how far it is to the goal around the squares; `policy.py` wraps a policy and follows them;
-`remembering.py` saves a test with recovery the values that the test without it has computed.
+`planner.py` computes the distances to the goal around the squares; `policy.py` wraps a policy and follows them;
+`remembering.py` keeps the values that a test without recovery has computed, for the test with it.
 """
 
 from sfmrl.recovery.planner import Geodesics, plan, solvable

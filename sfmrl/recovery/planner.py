@@ -1,11 +1,11 @@
-"""How far it is to the goal around the squares: geodesic distances on a grid, for many scenes at once.
+"""Geodesic distances to the goal, around the squares, on a grid, for many scenes at once.
 
-A cell's distance is the length of the shortest path over the grid, whose steps go in 24 directions, so that none is
-more than 1.4 % too long. Sweeps over the rows and columns, to and fro, find it; they end when nothing changes any more
-(the order of fast sweeping: Zhao, 2005). Cells in which the robot would touch a square count 10,000 times their length,
-cells within `inflation` of one 10 times, so every place has a finite distance, even inside a square. People are left
-out, since they will have moved on, and so is what the robot cannot reach: squares far from its start are ignored, and
-the path to a goal beyond its reach leads around squares to the point where the straight line there leaves its reach.
+A cell's distance is the length of the shortest path over the grid, whose steps go in 24 directions, so no distance is
+more than 1.4 % too long. Sweeps over the rows and columns in both directions compute it, and are repeated until no
+distance changes (fast sweeping: Zhao, 2005). Cells in which the robot would touch a square count 10,000 times their
+length, cells within `inflation` of one 10 times, so every place has a finite distance, even inside a square. People are
+left out, since they move on. Squares beyond the robot's reach are ignored, and the path to a goal beyond its reach
+leads around squares to the point where the straight line to the goal leaves the reach.
 """
 
 import math
@@ -18,15 +18,15 @@ from sfmrl.geometry import length
 from sfmrl.scenes import Scenes
 
 BLOCK = 64  # scenes at a time: few enough for their grids to stay in the cache
-REACH = 60.0  # m around the robot's start that are planned for at least: more than any map is wide
+REACH = 60.0  # m: the least reach around the robot's start; no map is wider
 MOST_ACROSS, MOST_CELLS = 4096, 2**29  # cells of a grid in x and in y, and of all grids together (2 GiB)
-AT_ONCE = 2**22  # cells of the grids that are worked on together
+AT_ONCE = 2**22  # cells of all grids in a block
 MARGIN = 1.0  # m that a grid reaches beyond the robot's start, its goal and the squares
-# The steps that lead aside too, in cells ahead and aside, by their length.
+# Oblique steps as (cells ahead, cells aside); those of a group have the same length.
 STEPS = (((1, 1),), ((1, 2), (2, 1)), ((1, 3), (3, 1)))
-PAD = 3  # cells that a step leads aside at most
-NARROW = 10.0  # what a metre counts for where the robot would come closer to a square than `inflation`
-SOLID = 1e4  # ... and where it would touch one
+PAD = 3  # the most cells that a step goes aside
+NARROW = 10.0  # cost of a metre on which the robot is closer to a square than `inflation`
+SOLID = 1e4  # ... and of a metre on which it touches one
 UNREACHABLE = 500.0  # m: longer than any path, shorter than a cell of a square
 
 
@@ -50,8 +50,8 @@ class Geodesics:
     def at(self, scene: np.ndarray, position: np.ndarray) -> np.ndarray:
         """Distances in m, (e, ...), from positions (e, ..., 2), whose first axis has the scenes (e,).
 
-        Linear between the centres of four free cells; elsewhere straight to the one from which it is shortest. From
-        outside a grid the path leads straight to its edge first.
+        Interpolated between the centres of four free cells. If one of the four is not free, the path goes straight to
+        the one from which it is shortest. From outside a grid, it first goes straight to the grid's edge.
         """
         axes = (slice(None),) + (None,) * (position.ndim - 2)
         place = (position - self.corner[scene][*axes, :]) / self.resolution
@@ -87,7 +87,7 @@ def plan(scenes: Scenes, planner: Planner, reach: np.ndarray | None = None) -> G
     places = np.where(square[..., None], scenes.start, np.nan)
     places[:, 0] = robot
     places = np.concatenate((places, goal[:, None]), axis=1)
-    # The robot's way around a square keeps its radius from the outline, which may lie farther out than MARGIN.
+    # A path around a square keeps the robot's radius from the outline, which can be farther out than MARGIN.
     around = scenes.radius + scenes.radius[:, :1] + planner.inflation + 2 * planner.resolution
     margin = np.where(square, np.maximum(around, MARGIN), MARGIN)
     margin = np.concatenate((margin, np.full((len(scenes), 1), MARGIN)), axis=1)[..., None]
@@ -143,7 +143,7 @@ def _distances(
 
 
 def _shortest(far: np.ndarray, cost: np.ndarray) -> np.ndarray:
-    """Path lengths (Y, E, X) from the cells where `far` is finite; a step counts by `cost` of the cell it ends on."""
+    """Path lengths (Y, E, X) from the cells where `far` is finite; the `cost` of a step's last cell weights it."""
     turned, cost = _widened(cost.transpose(2, 1, 0)), _widened(cost)
     before = None
     while not np.array_equal(far, before):
@@ -154,7 +154,7 @@ def _shortest(far: np.ndarray, cost: np.ndarray) -> np.ndarray:
 
 
 def _widened(grid: np.ndarray) -> np.ndarray:
-    """A grid (Y, E, X) with its rows end to end, before each and behind the last cells of +inf that no step passes."""
+    """A grid (Y, E, X) as (Y, W): the rows of all scenes end to end, between cells of +inf that no step crosses."""
     rows, scenes, columns = grid.shape
     wide = np.full((rows, scenes + 1, PAD + columns), np.inf, dtype=np.float32)
     wide[:, :scenes, PAD:] = grid
@@ -162,7 +162,7 @@ def _widened(grid: np.ndarray) -> np.ndarray:
 
 
 def _sweep(far: np.ndarray, cost: np.ndarray) -> np.ndarray:
-    """`far` (Y, E, X), shortened by what steps from earlier rows can do, upwards and then downwards."""
+    """Distances `far` (Y, E, X), shortened by steps from row to row, first upwards and then downwards."""
     rows, scenes, columns = far.shape
     wide = _widened(far)
     reached, nearest = np.empty((2, wide.shape[1]), dtype=np.float32)

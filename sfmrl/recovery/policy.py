@@ -47,7 +47,7 @@ class RecoveringPolicy:
             self.policy.begin(scenes, simulation)
         reach = simulation.longest * simulation.time_step * scenes.v_pref[:, 0]
         self._geodesics = plan(scenes, self.planner, reach)
-        self._left = np.full(len(scenes), np.inf)  # m, the path that was left at the latest progress
+        self._left = np.full(len(scenes), np.inf)  # m, the path's length at the latest progress
         self._since = np.zeros(len(scenes), dtype=int)  # the step of that progress
         self._stuck = np.zeros(len(scenes), dtype=bool)
         self.helped = np.zeros(len(scenes), dtype=bool)
@@ -107,6 +107,6 @@ def straight_way_is_free(world: World, inflation: float) -> np.ndarray:
 
 
 def with_recovery(policy: Policy, planner: Planner) -> Policy:
-    """The policy with recovery if `planner.recover`, otherwise without, also where it has recovery already."""
+    """The policy with recovery if `planner.recover`, else without; recovery that it has already is taken off first."""
     own = policy.original if isinstance(policy, RecoveringPolicy) else policy
     return RecoveringPolicy(own, planner) if planner.recover else own

@@ -1,4 +1,4 @@
-"""A network that is tested twice in the same episodes, alone and with recovery, values each moment once."""
+"""SARL that values each moment once, for tests of the same episodes without and then with recovery."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from sfmrl.world import World
 class RememberingPolicy(SarlPolicy):
     """SARL that stores its values of every moment, so that playing the same moment again costs nothing.
 
-    A test with recovery goes the same way as the test without, until an episode's robot is stuck or near a trap.
+    An episode with recovery is the same as without until the robot is stuck or near a trap.
     """
 
     def __init__(self, network, config: Config, threads: int = 1) -> None:
@@ -18,7 +18,7 @@ class RememberingPolicy(SarlPolicy):
         self._judged: dict[tuple, tuple[np.ndarray, np.ndarray]] = {}
 
     def judge(self, world: World, crowd_velocity: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As SARL's, from memory where possible; the people's velocities in the step follow from where they are."""
+        """As SARL's, from memory where possible; a moment's key needs no `crowd_velocity`, which follows from it."""
         numbers = zip(world.episode.tolist(), world.steps.tolist(), strict=True)
         moments = zip(numbers, world.position, world.velocity, strict=True)
         keys = [(number, position.tobytes(), velocity.tobytes()) for number, position, velocity in moments]

@@ -1,9 +1,9 @@
-"""What the numbers of a run depend on beyond its config: versions, and the bits that this machine computes.
+"""Versions, and the bits that this machine computes: a run's numbers depend on them besides its config.
 
 Processors and libraries add numbers in different orders, so the same training can end in other last digits on another
-machine, even with the same versions. `machine_bits`, a digest of small computations, shows whether it does; compare it
-before you compare numbers to the last digit. It uses no code of the simulator or the network, so that it does not
-change with them.
+machine, even with the same versions. `machine_bits`, a digest of small computations, shows whether it does: compare it
+before you compare numbers to the last digit. It uses no code of the simulator or the network, so it does not change
+when they do.
 """
 
 import hashlib
@@ -22,7 +22,7 @@ STEPS, RATE = 8, 0.05  # of gradient descent
 
 
 def versions() -> dict[str, str]:
-    """Versions of sfmrl and of everything below it that decides numbers, as run.json stores them."""
+    """Versions of sfmrl and of all that its numbers depend on, as run.json stores them."""
     return {
         "sfmrl": __version__,
         "python": platform.python_version(),
@@ -42,7 +42,7 @@ def machine_bits() -> str:
 def _functions() -> Iterator[np.ndarray]:
     """Values of the functions that simulator, states and network use."""
     for kind in (np.float32, np.float64):
-        # 1,001 numbers do not fill up the vector registers, so that the code for the remainder runs, too.
+        # 1,001 numbers do not fill the vector registers evenly, so the code for the remainder runs, too.
         x, y = np.random.default_rng(0).uniform(0.01, 8.0, (2, 1001)).astype(kind)
         yield from (np.exp(-x), np.sqrt(x), np.sin(x), np.cos(x), np.arctan2(x, y), np.hypot(x, y), kind(0.9) ** x)
     yield x[:1000].reshape(-1, 10).astype(np.float32).sum(1)

@@ -1,4 +1,4 @@
-"""Make the folder of a new run. Nothing but a run is ever replaced, and that only on request."""
+"""Make the folder of a new run; it replaces nothing but a run, and only if `overwrite` is set."""
 
 import json
 import os
@@ -129,7 +129,7 @@ def _check_replaceable(folder: Path, overwrite: bool) -> None:
 
 
 def _counts_as_empty(folder: Path) -> bool:
-    """Whether a folder holds nothing but the remains of a run whose creation was killed before its run.json."""
+    """Whether a folder holds at most the remains of a run that was killed before it wrote its run.json."""
     names = {path.name for path in folder.iterdir()} - {path.name for path in leftovers(folder)} - {LOCK}
     if not names:
         return True

@@ -20,11 +20,11 @@ from sfmrl.states import OWN, column_names
 
 CHECKPOINT = "rl_model.pth"  # in the output folder of CrowdNav's training
 WRAPPERS = ("state_dict", "model_state_dict", "model")  # keys under which a file may hold its parameters
-MAX_WRAPPERS = 4  # wrappers inside each other
-PREFIXES = ("module.", "model.")  # before every name, as DataParallel and networks with parts write them
+MAX_WRAPPERS = 4  # nested in each other
+PREFIXES = ("module.", "model.")  # that DataParallel and wrapping modules put before every name
 MAX_UNITS = 4096  # in a layer
-OTHERS = {"value_network.": "CADRL, which looks at one person at a time", "lstm.": "LSTM-RL"}  # by their parameters
-NOT_WEIGHTS = {  # how files start that are mistaken for weights
+OTHERS = {"value_network.": "CADRL, which looks at one person at a time", "lstm.": "LSTM-RL"}  # by parameters' prefix
+NOT_WEIGHTS = {  # first bytes of files that are often mistaken for weights
     b"version https://git-lfs": "is a git-lfs pointer, not the file itself; fetch that with git lfs pull",
     b"<!doctype html": "is a web page (HTML), not the file itself; download that",
     b"<html": "is a web page (HTML), not the file itself; download that",

@@ -1,4 +1,4 @@
-"""Play training episodes on a second process, while the network learns from the previous ones."""
+"""Play training episodes on a second process while the network learns from the previous ones."""
 
 import multiprocessing
 import os
@@ -22,18 +22,18 @@ from sfmrl.runs.progress import SIGNALS, held_back
 class Explorer:
     """Plays training episodes with a network, on a second process if `aside`; a context manager.
 
-    Threads of one process would wait for each other between the network's many operations. If the second process is
-    killed, this one plays.
+    Threads would not do: the network's operations are many and small, and between them, threads of one process wait for
+    each other. If the second process is killed, this one plays.
     """
 
     def __init__(self, config: Config, threads: int, aside: bool, sizes: Sizes = Sizes()) -> None:
-        self._given = config, threads, sizes
+        self._setup = config, threads, sizes
         self._pool = None
         if aside:
             spawn = multiprocessing.get_context("spawn")  # a fork would inherit locks that threads hold
             self._pool = ProcessPoolExecutor(1, spawn, _prepare)
-            with held_back():  # the new process inherits this, so that its imports are not interrupted
-                self._pool.submit(_policy, *self._given)  # all that takes time before the first episode
+            with held_back():  # the new process inherits this, so no signal interrupts its imports
+                self._pool.submit(_policy, *self._setup)  # imports and allocates before the first episode is due
 
     def __enter__(self) -> "Explorer":
         return self
@@ -42,13 +42,15 @@ class Explorer:
         if self._pool:
             self._pool.shutdown(cancel_futures=True)
 
-    def start(self, actor: FastNetwork, *what: Sequence[int]) -> Callable[[], Explored]:
-        """Start to `explore` the episodes and scenes `what`; returns a function that waits for the result.
+    def start(
+        self, actor: FastNetwork, episodes: Sequence[int], scenes: Sequence[int] | None = None
+    ) -> Callable[[], Explored]:
+        """Start to `explore` the episodes with the network `actor`; returns a function that waits for the result.
 
-        Without a second process, that function plays, with the actor as it then is. With one, the actor must not change
-        before that function returns.
+        `scenes` are the numbers of the scenes to play in, by default the episodes' own. Without a second process, that
+        function plays, with the actor as it is then. With one, the actor must not change before that function returns.
         """
-        work, future = partial(_explore, *self._given, actor.flat, *what), None
+        work, future = partial(_explore, *self._setup, actor.flat, episodes, scenes), None
         with suppress(BrokenProcessPool):
             future = self._pool and self._pool.submit(work)
 
@@ -62,7 +64,7 @@ class Explorer:
 
 
 def _prepare() -> None:
-    """In the second process: leave signals to the parent, and end when it ends."""
+    """Set up the second process: it ignores signals, which the parent handles, and ends when the parent ends."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
@@ -74,7 +76,7 @@ def _policy(config: Config, threads: int, sizes: Sizes) -> SarlPolicy:
     return SarlPolicy(new_network(config, sizes=sizes), config, threads)
 
 
-def _explore(config: Config, threads: int, sizes: Sizes, weights: np.ndarray, *what: Sequence[int]) -> Explored:
+def _explore(config: Config, threads: int, sizes: Sizes, weights: np.ndarray, *numbers: Sequence[int]) -> Explored:
     policy = _policy(config, threads, sizes)
     policy.network.flat[:] = weights
-    return explore(policy, config, *what)
+    return explore(policy, config, *numbers)  # of episodes and scenes

@@ -1,4 +1,4 @@
-"""Which runs there are, which files belong to them, and which are being trained. Imports neither NumPy nor torch."""
+"""Find runs, list their files, and tell which are being trained. Imports neither NumPy nor torch."""
 
 import re
 import shlex

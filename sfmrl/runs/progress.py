@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
-# Takes a title and a total; gives a context, whose value is a function to call with the number of steps just done.
+# Takes a title and a total; returns a context manager for a function to call with the number of steps just done.
 Progress = Callable[[str, int], AbstractContextManager[Callable[[int], None]]]
 
 FIRST_LINE_AFTER = 2.0  # seconds
@@ -101,7 +101,7 @@ class StopSignal:
             raise Interrupted
 
     def watch(self, progress: Progress) -> Progress:
-        """`progress` that checks for a stop at every step, for work whose parts need not be saved."""
+        """`progress` that checks for a stop at every step, for work of which nothing need be saved."""
         return partial(self._watched, progress)
 
     @contextmanager

@@ -1,4 +1,4 @@
-"""Run the algorithms of imitation.py and reinforcement.py in run folders: save, stop, continue, validate and test."""
+"""Run imitation and reinforcement in a run folder: save checkpoints, stop, continue, validate and test."""
 
 import json
 import time
@@ -27,8 +27,8 @@ from sfmrl.runs.weights import load_weights, network_from, save_weights, weights
 from sfmrl.states import column_names
 
 CHECKPOINT_EVERY = 20.0  # seconds; saving more or less often changes no number of a training
-EVALUATION_SEED = 0  # every training seed validates and tests on the same episodes, so that runs compare in pairs
-VALIDATED = ("success", "collision", "timeout", "navigation_time", "total_reward")
+EVALUATION_SEED = 0  # trainings with any seed use the same validation and test episodes, so runs compare in pairs
+VALIDATED = ("success", "collision", "timeout", "navigation_time", "total_reward")  # metrics in validation.csv
 
 Say = Callable[[str], None]
 
@@ -45,7 +45,7 @@ def run_imitation(run: Run, progress: Progress, stop: StopSignal) -> None:
 
 
 def fit(run: Run, memory: Memory, saved: dict[str, Any] | None, progress: Progress, stop: StopSignal) -> FastNetwork:
-    """Fit a network to the demonstrations in `memory`, from checkpoint `saved` if any; saves one after each epoch."""
+    """Fit a network to the demonstrations in `memory`; starts from a checkpoint `saved`, saves one after each epoch."""
     fitted, rows = Fit(run.config), []
     if saved:
         with run.restoring():
@@ -72,7 +72,7 @@ def run_reinforcement(run: Run, progress: Progress, stop: StopSignal, say: Say, 
     config, settings = run.config, run.config.reinforcement
     learner = begin(run, progress, stop, say)
     for name, rows in (("metrics.csv", learner.rows), ("validation.csv", learner.validations)):
-        write_text(run.folder / name, csv_text(rows))  # a killed run has appended rows since its checkpoint
+        write_text(run.folder / name, csv_text(rows))  # drop the rows that a killed run added after its checkpoint
     aside = settings.parallel > 1 and threads > 1
     sizes, left = learner.network.sizes, settings.episodes - learner.episode
     with Explorer(config, threads - aside, aside, sizes) as explorer, progress("reinforcement", left) as advance:
@@ -81,21 +81,21 @@ def run_reinforcement(run: Run, progress: Progress, stop: StopSignal, say: Say, 
                 validate(run, learner, stop, say, threads)
             if learner.episode >= settings.episodes:
                 break
-            train_stretch(run, learner, explorer, advance, stop)
+            train_until_validation(run, learner, explorer, advance, stop)
     run.save_checkpoint(learner.state_dict())
     result = test(run, learner, stop.watch(progress), threads)
-    written = result | {"bits": machine_bits()}  # run.json has those of the machine on which it began
+    written = result | {"bits": machine_bits()}  # run.json has the bits of the machine on which the run began
     write_text(run.folder / "result.json", json.dumps(written, indent=2) + "\n")
     run.finish(weights_file(learner.tested, config))
     return result
 
 
 def begin(run: Run, progress: Progress, stop: StopSignal, say: Say) -> Learner:
-    """Restore the learner from the newest checkpoint, or make it from what the training starts from.
+    """Restore the learner from the newest checkpoint, or make a new one.
 
-    That is a weights file, a random network, or an imitation run: its demonstrations, with the returns that this
-    training's reward gives them, and its network. If `needs_fit`, a network is fitted to the demonstrations again;
-    until that is done, checkpoints hold the fit.
+    A new learner's network comes from a weights file, from an imitation run, or is drawn at random. An imitation run
+    also fills the memory with its demonstrations, their returns computed with this training's reward. If `needs_fit`,
+    a new network is fitted to the demonstrations first, and until that is done, checkpoints hold the fit.
     """
     config, saved = run.config, run.load_checkpoint()
     memory = make_memory(config)
@@ -126,18 +126,18 @@ def begin(run: Run, progress: Progress, stop: StopSignal, say: Say) -> Learner:
 
 
 def needs_fit(trained: Config, config: Config) -> bool:
-    """Whether a training under `config` fits the demonstrations of an imitation `trained` under another config again.
+    """Whether a training under `config` must fit again the demonstrations of an imitation `trained` under another.
 
-    It does with another state, and, if the preset has each row fitted to its own, with another reward, discount or fit.
+    It must if the state differs and, where `refit` is on, if the reward, the discount or the fit's settings differ.
     """
     names = ("forces", "value_prior") + ("discount", "reward", "imitation") * config.imitation.refit
     return any(getattr(trained, name) != getattr(config, name) for name in names)
 
 
-def train_stretch(
+def train_until_validation(
     run: Run, learner: Learner, explorer: Explorer, advance: Callable[[int], None], stop: StopSignal
 ) -> None:
-    """Train up to the next validation, saving checkpoints; `advance` is called with the episodes of each round."""
+    """Train up to the next validation, saving checkpoints; calls `advance` with each round's number of episodes."""
     settings = run.config.reinforcement
     until = min(settings.validation_interval * (learner.episode // settings.validation_interval + 1), settings.episodes)
     saved_at = time.monotonic()
@@ -157,14 +157,14 @@ def train_stretch(
 
 
 def due(learner: Learner, settings: Reinforcement) -> bool:
-    """Whether the next validation is due: at every interval and at the end, once each."""
+    """Whether a validation is due: one at each interval, from episode 0 on, and one at the end."""
     if learner.validations and learner.validations[-1]["episode"] == learner.episode:
         return False
     return learner.episode % settings.validation_interval == 0 or learner.episode >= settings.episodes
 
 
 def validate(run: Run, learner: Learner, stop: StopSignal, say: Say, threads: int) -> None:
-    """Play the validation episodes, add a row to validation.csv, and save the network if no earlier one was better."""
+    """Play the validation episodes, add a row to validation.csv, and save the network if none before was better."""
     settings, policy = run.config.reinforcement, SarlPolicy(learner.tested, run.config, threads)
     rates = metrics(play(policy, "validation", settings.validation_episodes, stop.watch(no_progress)))
     row = {"episode": learner.episode} | {name: rates[name] for name in VALIDATED}
@@ -177,7 +177,7 @@ def validate(run: Run, learner: Learner, stop: StopSignal, say: Say, threads: in
 
 
 def test(run: Run, learner: Learner, progress: Progress, threads: int) -> dict[str, Any]:
-    """Test the trained network alone and, if asked, with recovery and as of its best validation; returns metrics."""
+    """Test the network alone and, if the config says so, with recovery and as of its best validation; the metrics."""
     config, episodes = run.config, run.config.reinforcement.test_episodes
     alone = RememberingPolicy(learner.tested, config, threads)
     record = play(alone, "test", episodes, progress)
@@ -197,6 +197,6 @@ def test(run: Run, learner: Learner, progress: Progress, threads: int) -> dict[s
 
 
 def play(policy: Policy, phase: str, episodes: int, progress: Progress) -> Record:
-    """Play validation or test episodes (`phase`) with a network; they are the same for every training seed."""
+    """Play validation or test episodes (`phase`), which are the same for every training seed."""
     with progress(phase, episodes) as advance:
         return evaluation_record(policy, episodes=episodes, seed=EVALUATION_SEED, phase=phase, progress=advance)

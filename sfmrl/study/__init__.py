@@ -1,1 +1,1 @@
-"""Study what trainings lead to: the paper's tables over many seeds, statistics, comparison, trainings side by side."""
+"""Study many trainings: the paper's tables over seeds, statistics, comparisons, figures, trainings side by side."""

@@ -14,7 +14,7 @@ from sfmrl.study.social import SOCIAL_METRICS, social_metrics, social_values
 from sfmrl.study.statistics import holm, mean_difference, success_difference
 
 LISTED = 20  # differing episodes that the terminal shows; JSON has all
-EXACT_BELOW = 25  # shared successes; times are multiples of the time step, and with fewer a t-test is too sure
+EXACT_BELOW = 25  # shared successes; with fewer, a t-test alone is too sure of times in whole time steps
 
 
 def compare(records: Sequence[Record], policies: Sequence[Policy], names: Sequence[str]) -> dict[str, Any]:
@@ -45,7 +45,7 @@ def compare(records: Sequence[Record], policies: Sequence[Policy], names: Sequen
 
 
 def _difference(record: Record, first: Record) -> dict[str, Any]:
-    """Return a record's success and navigation time less the first's, and in how many episodes one alone succeeds."""
+    """Return a record's success and navigation time less the first's, and the episodes in which only one succeeds."""
     ours, theirs = (r.outcome == "success" for r in (record, first))
     both = ours & theirs
     only_this, only_first = int((ours & ~theirs).sum()), int((theirs & ~ours).sum())

@@ -1,9 +1,9 @@
-"""Many trainings: processes side by side on this machine, or on a Ray cluster, each a command that can be given again.
+"""Run many trainings, each a command that can be repeated: as processes on this machine, or on a Ray cluster.
 
-A finished training is never repeated, and a killed one goes on from its checkpoint. Here, each writes its messages to
-a file of its own under logs/ beside its run folder. On a cluster (the extra "ray"), run folders travel to the worker
-and back: a worker needs sfmrl and no common file system. If a worker is lost, its training is repeated elsewhere,
-to the same bits where that machine computes the same (`sfmrl doctor` shows a digest).
+A finished training is never repeated, and a killed one goes on from its checkpoint. On this machine, each writes its
+messages to a file of its own under logs/ beside its run folder. On a cluster (the extra "ray"), run folders are sent to
+the worker and back: a worker needs sfmrl, but no common file system. If a worker is lost, its training is repeated on
+another, to the same bits if that machine computes the same (`sfmrl doctor` shows a digest).
 """
 
 import shlex
@@ -32,11 +32,11 @@ class Failed(Exception):
 
 @dataclass(frozen=True)
 class Job:
-    """A training as one plain command: `words` follow "sfmrl". Given again, it goes on where it was stopped."""
+    """A training as one plain command, "sfmrl" and `words`; repeated, it goes on where it was stopped."""
 
     folder: Path  # the run folder that it makes
     words: tuple[str, ...]
-    needs: Path | None = None  # the run folder that has to be finished before
+    needs: Path | None = None  # the run folder that must be finished first
     episodes: int = 0  # of reinforcement
 
     @property
@@ -74,7 +74,8 @@ def run_jobs(
                     elif (job.needs is None or finished(job.needs)) and workers.start(job):
                         running += 1
                         waiting.remove(job)
-                played = max(shown, sum(map(_episodes_played, unfinished)))  # fewer after going on from a checkpoint
+                # A training that goes on from a checkpoint has fewer episodes than it had before.
+                played = max(shown, sum(map(_episodes_played, unfinished)))
                 advance(played - shown)
                 shown = played
                 time.sleep(POLL_INTERVAL)
@@ -101,7 +102,7 @@ class Processes:
         self._running: dict[Job, subprocess.Popen] = {}
 
     def start(self, job: Job) -> bool:
-        """Start a job if there is room, in a session of its own, which a Ctrl-C in this terminal does not reach."""
+        """Start a job if there is room, in a session of its own, so that Ctrl-C in this terminal does not reach it."""
         if len(self._running) == self._limit:
             return False
         log = _log(job)
@@ -120,7 +121,7 @@ class Processes:
             yield job, f"{_last_line(text)} (see {log})"
 
     def stop(self) -> None:
-        """Ask all trainings to stop at their next checkpoint, and wait until they have."""
+        """Terminate all trainings, which stop at their next checkpoint, and wait until they have."""
         for process in self._running.values():
             process.terminate()
         for process in self._running.values():

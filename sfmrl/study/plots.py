@@ -91,7 +91,7 @@ def draw_episode(record: Record, path: Path) -> None:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure to a file, as its ending says; the same figure gives the same bytes."""
+    """Write a figure to a file in the format of its ending; the same figure gives the same bytes."""
     undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}, ".png": {}}
     data = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "sfmrl"}):
@@ -100,7 +100,7 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def _blank(width: float, height: float) -> tuple[Figure, Axes]:
-    """A figure of so many inches with one pair of axes."""
+    """A figure of `width` x `height` inches with one pair of axes."""
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.add_subplot()
 

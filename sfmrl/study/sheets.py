@@ -40,7 +40,7 @@ class Sheet:
 def plain_table(*headings: str, first: str = "left", gap: int = 0, title: str | None = None) -> Table:
     """Return an empty table without an edge, its `first` column aligned as given and the others to the right.
 
-    `gap` is the number of columns between columns, besides one.
+    Columns are one space apart, and `gap` more.
     """
     title = None if title is None else Text(title)
     how = {"box": SIMPLE_HEAD, "padding": (0, gap, 0, 0), "pad_edge": False, "show_edge": False}

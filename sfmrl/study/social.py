@@ -1,4 +1,4 @@
-"""How a robot treats people: what the field measures besides the paper's four metrics.
+"""Social metrics: how the robot treats people, by measures of the field beyond the paper's four.
 
 Only people count here, squares do not. A gap is from surface to surface, the smallest during a step in which both discs
 move straight on, as in rewards and collisions. A time-out counts the steps that were played.
@@ -14,10 +14,10 @@ from sfmrl.sfm import repulsive_forces, resultant
 
 DANGER = 0.2  # m, CrowdNav's discomfort distance
 ZONES = {"intimate": 0.45, "personal": 1.2, "social": 3.6}  # m, Hall (1966)
-LONGEST_TTC = 10.0  # s
+LONGEST_TTC = 10.0  # s, of a time to collision
 MOVING = 1e-6  # m/s: a slower velocity has no direction
 
-# What each metric is, as `--help` and the tutorials say it: unit, formula, source.
+# Each metric's definition, unit and source, as `--help` and the tutorials give them.
 SOCIAL_METRICS = {
     "danger_frequency": "share of the steps with a gap below 0.2 m, without each episode's last step (CrowdNav)",
     "danger_separation": "mean gap in those steps, m (CrowdNav)",
@@ -85,7 +85,7 @@ def _people(record: Record) -> np.ndarray:
 
 
 def _danger(record: Record) -> tuple[np.ndarray, np.ndarray]:
-    """Which steps are dangerous, (E, T) bool, and the gap to the nearest person, (E, T) in m; inf where nobody is."""
+    """Which steps are dangerous, (E, T) bool, and the gap to the nearest person, (E, T) in m; inf without people."""
     separations = np.where(_people(record)[:, None], record.transition.separations, np.inf)
     gap = separations.min(axis=2, initial=np.inf)
     before_last = np.arange(gap.shape[1]) < record.steps[:, None] - 1
@@ -93,7 +93,7 @@ def _danger(record: Record) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _spl(record: Record, path: np.ndarray) -> np.ndarray:
-    """Success weighted by path length, (E,); what was left to the goal at the end belongs to the path (E,), in m."""
+    """Success weighted by path length, (E,); to the `path` (E,) in m, the distance left to the goal is added."""
     scenes, last = record.scenes, (np.arange(len(record.steps)), record.steps - 1)
     straight = length(scenes.goal[:, 0] - scenes.start[:, 0])
     around = plan(scenes, Planner(inflation=0.0)).at(last[0], scenes.start[:, 0])
@@ -104,7 +104,7 @@ def _spl(record: Record, path: np.ndarray) -> np.ndarray:
 
 
 def _time_to_collision(offset: np.ndarray, approach: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """Seconds until discs touch at constant velocities; inf where they never do or nobody is (NaN).
+    """Seconds until discs touch at constant velocities; inf if they never do, or if one is absent (NaN).
 
     `offset`, `approach` (..., 2) are one disc's position and velocity as seen from the other, `reach` (...) the sum of
     their radii. It is the first root of |offset + time approach| = reach.
@@ -121,7 +121,7 @@ def _time_to_collision(offset: np.ndarray, approach: np.ndarray, reach: np.ndarr
 def _turned(velocity: np.ndarray) -> np.ndarray:
     """Sum of the absolute angles between successive directions of motion, (E,) in rad; velocity (E, T, 2)."""
     moving = length(velocity) > MOVING  # false where NaN
-    # The last moving step up to each step; before the first one, that first one.
+    # The latest step up to each step in which the robot moves; before the first such step, that one.
     last = np.maximum.accumulate(np.where(moving, np.arange(moving.shape[1]), -1), axis=1)
     last = np.where(last < 0, moving.argmax(axis=1)[:, None], last)
     angle = np.take_along_axis(np.arctan2(velocity[..., 1], velocity[..., 0]), last, axis=1)
@@ -144,6 +144,6 @@ def _finite(values: np.ndarray) -> np.ndarray:
 
 
 def _mean(values: np.ndarray) -> float | None:
-    """Mean of what is not NaN, None where all is."""
+    """Mean of the values that are not NaN; None without any."""
     known = values[~np.isnan(values)]
     return float(known.mean()) if len(known) else None

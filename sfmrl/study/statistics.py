@@ -22,9 +22,9 @@ LEVEL = 0.95
 ROUNDING = 1e-9  # values that differ by less are equal
 HALVINGS = 60  # in a bisection, to the last bits of a float
 SEEDS_NEEDED = 5  # for a verdict on the paper
-WIDEST = 0.1  # a wider range of expected success is no basis for a verdict
+WIDEST = 0.1  # with a wider range of expected success, the verdict is inconclusive
 UNDECIDED = {"expected": None, "verdict": "inconclusive"}
-NO_RATES = ("navigation_time", "total_reward", "best_episode", "reached")  # beginnings of metrics not from 0 to 1
+NO_RATES = ("navigation_time", "total_reward", "best_episode", "reached")  # prefixes of metrics that are no rates
 # The effect of an ingredient: the mean, over pairs of table 1's rows, of the first row less the second.
 CONTRASTS = {
     "forces in the state": (("sarl-sfm5", "sarl"), ("sarl-sfm6", "sarl-sfm2")),
@@ -58,7 +58,7 @@ def t_quantile(degrees: int) -> float:
 
 
 def _last(holds: Callable[[float], bool], near: float, far: float) -> float:
-    """Return the last number on the way from `near` to `far` for which a condition holds, by bisection."""
+    """Return the farthest number from `near` towards `far` for which a condition holds, by bisection."""
     for _ in range(HALVINGS):
         middle = (near + far) / 2
         near, far = (middle, far) if holds(middle) else (near, middle)
@@ -70,7 +70,7 @@ def mean_interval(
 ) -> tuple[float, float] | tuple[None, None]:
     """Return Student's t interval of the mean of `values` (S,), cut to the possible values `least` to `most`.
 
-    Fewer than two values, or equal ones, show no spread: the interval is then (None, None).
+    The interval is (None, None) for fewer than two values and for equal ones, which show no spread.
     """
     values = np.asarray(values, dtype=float)
     if len(values) < 2 or np.ptp(values) < ROUNDING:

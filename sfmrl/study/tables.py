@@ -20,7 +20,7 @@ MOST_SEEDS = 1000  # of a table
 VALIDATION_INTERVAL = {"paper": 1000, "quick": 250}  # episodes; the paper's figure has a point every 1000
 EARLY = 0.25  # the first part of a training, for the early metrics
 REACHED = 0.9  # validation success
-TIME_CHARGED = 25.0  # s, for a time-out in the navigation time that counts time-outs
+TIME_CHARGED = 25.0  # s, which a time-out counts in the navigation time with time-outs
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ TABLES = {
     ),
     2: Table(
         "table2",
-        {"paper": 15_000, "quick": 1500},  # half as many again as for table 1
+        {"paper": 15_000, "quick": 1500},  # 1.5 times as many as for table 1
         1000,
         {
             "sarl": _row((0.901,), (0.001,), (10.54,), (0.3046,)),
@@ -173,7 +173,7 @@ def read_row(folder: Path, number: int, preset: str, row: str, seeds: list[int])
         )
     except ConfigError:
         raise
-    except (OSError, ValueError, LookupError, TypeError, ArithmeticError) as error:  # what odd content leads to
+    except (OSError, ValueError, LookupError, TypeError, ArithmeticError) as error:  # on unexpected content
         raise ConfigError(f"a run of row {row} under {folder} cannot be read ({error!r}); train it again") from error
 
 
