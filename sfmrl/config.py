@@ -81,13 +81,14 @@ class Settings:
 
 @dataclass(frozen=True)
 class Simulation(Settings):
-    """How the crowd moves and when an episode ends; CrowdNav's values."""
+    """Who the humans are, how they move, and when an episode ends; CrowdNav's values."""
 
     time_step: float = knob(0.25, "length of a step, s", 1e-3, 10)
     time_limit: float = knob(25.0, "an episode is timed out 1 s before this time, s (CrowdNav)", 1, 3600)
     crowd: str = knob("orca", "what drives the humans", choices=("orca", "sfm"))
     squares: str = knob("solid", "gaps to squares: to the outline, or disc inside (paper)", choices=("solid", "disc"))
     robot_visible: bool = knob(True, "the humans see the robot (paper: they do)")
+    random_attributes: bool = knob(False, "humans differ: radius 0.3-0.5 m, at most 0.5-1.5 m/s (CrowdNav)")
     safety_space: float = knob(0.0, "added to every radius when ORCA drives the robot, m", 0, 10)
     clearance: float = knob(0.01, "added to every radius inside ORCA, m (CrowdNav)", 0, 10)
     neighbor_distance: float = knob(10.0, "ORCA: agents farther away are ignored, m (CrowdNav)", 0, 1e6)

@@ -29,7 +29,8 @@ def explore(
     `episodes` in any scene.
     """
     settings = config.reinforcement
-    scenes = sample_scenes(settings.environment, episodes if numbers is None else numbers, config.seed, phase="train")
+    how = {"phase": "train", "random_attributes": config.simulation.random_attributes}
+    scenes = sample_scenes(settings.environment, episodes if numbers is None else numbers, config.seed, **how)
     scenes = thinned(scenes, config.sparse, config.seed)
     longest = config.simulation.longest
     rngs = [generator(config.seed, "exploration", episode) for episode in episodes]

@@ -20,7 +20,8 @@ from sfmrl.scenes import elements_of, generator, sample_scenes, thinned
 def demonstrate(config: Config, progress: Callable[[int], None] = lambda ended: None) -> Record:
     """Play the imitation episodes with ORCA; `progress` is called with the number that have just ended."""
     settings = config.imitation
-    scenes = sample_scenes(settings.environment, settings.episodes, config.seed, phase="imitation")
+    how = {"phase": "imitation", "random_attributes": config.simulation.random_attributes}
+    scenes = sample_scenes(settings.environment, settings.episodes, config.seed, **how)
     scenes = thinned(scenes, config.sparse, config.seed)
     return play_episodes(scenes, orca_policy, config.reward, config.simulation, progress=progress)
 

@@ -16,7 +16,7 @@ import numpy as np
 from sfmrl.batch import Batch
 from sfmrl.config import ConfigError, counted, in_range, suggest
 from sfmrl.geometry import vectors
-from sfmrl.placement import CIRCLE, PAPER, RADIUS, Builder, squares_of
+from sfmrl.placement import CIRCLE, PAPER, RADIUS, V_PREF, Builder, squares_of
 from sfmrl.variants import MIXES
 
 ENVIRONMENTS = {
@@ -27,11 +27,11 @@ ENVIRONMENTS = {
     "5": "a concave barrier, a row of three and a row of two, nobody",
     "maps": "twenty layouts that no training samples, in turn; map-u, map-room ... are single ones",
     "circle": "ten people on a circle, no squares (CrowdNav); circle5 has five",
+    "square": "ten people who cross a square of 10 m, no squares in it (CrowdNav); square5 has five",
 }
 DRAWN = "map:"  # begins the name of an environment that is a drawing, its lines joined by "/"
 PHASES = ("train", "validation", "test", "imitation")
 STREAMS = (*PHASES, "fit", "batches", "exploration", "sparse")  # all uses of random numbers; the index is a seed
-V_PREF = 1.0  # m/s, of every agent
 
 
 @dataclass(frozen=True, repr=False)
@@ -40,7 +40,8 @@ class Scenes(Batch):
 
     `start` and `goal` (E, N, 2) in m; `radius` in m and `v_pref` in m/s, (E, N) or anything that broadcasts to it.
     `square` (E, N) marks squares, of side 2 radius. A row with NaN start is absent. `environment` (E,) and `episode`
-    (E,) are labels for reports. Raises ValueError on bad shapes and values.
+    (E,) are labels for reports. Nobody moves faster than v_pref, and all prefer to move at v_pref, or at
+    `preferred_speed` in m/s, (E, N) or broadcast to it, if given. Raises ValueError on bad shapes and values.
     """
 
     start: np.ndarray
@@ -50,6 +51,7 @@ class Scenes(Batch):
     square: np.ndarray | bool = False
     environment: np.ndarray | str = "own"
     episode: np.ndarray | None = None
+    preferred_speed: np.ndarray | float | None = None
 
     def __post_init__(self) -> None:
         start, goal = vectors("start", self.start).copy(), vectors("goal", self.goal).copy()
@@ -62,6 +64,8 @@ class Scenes(Batch):
         square = _filled("square", self.square, bool, shape)
         environment = _filled("environment", self.environment, str, shape[:1])
         episode = _filled("episode", np.arange(shape[0]) if self.episode is None else self.episode, int, shape[:1])
+        own = self.preferred_speed is not None
+        speed = _filled("preferred_speed", self.preferred_speed, float, shape) if own else v_pref
         absent = np.isnan(start).any(-1)
         if square[:, 0].any():
             raise ValueError("square marks row 0, which is the robot")
@@ -69,11 +73,11 @@ class Scenes(Batch):
             raise ValueError("start has no robot: row 0 must not be NaN")
         if not np.isfinite(start[~absent]).all() or not np.isfinite(goal[~absent & ~square]).all():
             raise ValueError("start and goal must be finite for everyone who has a start")
-        if not np.isfinite((radius, v_pref)).all() or not (radius > 0).all() or not (v_pref >= 0).all():
-            raise ValueError("radius must be above 0 m and v_pref not below 0 m/s, both finite")
+        if not np.isfinite((radius, v_pref, speed)).all() or (radius <= 0).any() or ((v_pref < 0) | (speed < 0)).any():
+            raise ValueError("radius must be above 0 m, v_pref not below 0 m/s, nor preferred_speed, and all finite")
         goal[square] = start[square]
         start[absent] = goal[absent] = np.nan
-        checked = (start, goal, radius, v_pref, square, environment, episode)
+        checked = (start, goal, radius, v_pref, square, environment, episode, speed if own else None)
         for item, value in zip(fields(self), checked, strict=True):
             object.__setattr__(self, item.name, value)
 
@@ -119,13 +123,16 @@ def sample_scenes(
     circle: float | None = None,
     people: int | None = None,
     people_speed: float | None = None,
+    random_attributes: bool = False,
 ) -> Scenes:
     """Sample episodes of an environment, or of a mix of them, each from its own seed.
 
     `environment` is one of `ENVIRONMENTS`, a mix ("1:0.7,2:0.3", "table1", "table2"), or a drawing "map:R.#.G/..#.."
     (see `sfmrl.maps`); `episodes` is their number, or a list of their numbers. `people` is the number of people on the
     circle that replace the environment's own, `people_speed` their preferred speed, m/s, and `circle` the radius of the
-    circle, m (default `circle_of(people)`). Row 0 is the robot, then come people, then squares. Raises ConfigError on
+    circle, m (default `circle_of(people)`). With `random_attributes`, people have a radius from 0.3 to 0.5 m (on maps
+    0.3 m) and a v_pref from 0.5 to 1.5 m/s, which only limits their speed: as in CrowdNav, they prefer 1 m/s. The
+    circle grows if it has no room for them. Row 0 is the robot, then come people, then squares. Raises ConfigError on
     unknown names, and on numbers out of range.
     """
     shares, numbers = parse_mix(environment), _numbers(episodes)
@@ -133,22 +140,20 @@ def sample_scenes(
         raise ConfigError(f"there is no phase {phase!r}; choose {', '.join(PHASES)}{suggest(phase, PHASES)}")
     in_range("seed", seed, 0, np.inf)
     in_range("people", people or 0, 0, np.inf)
-    speed = in_range("people_speed", V_PREF if people_speed is None else people_speed, 0, 1e6, whole=False)
     circle = in_range("circle", circle_of(people) if circle is None else circle, RADIUS, 1e6, whole=False)
+    if random_attributes and people_speed is not None:
+        raise ConfigError("a speed of all humans and random attributes exclude each other; leave out one of them")
 
     rngs = [generator(seed, phase, number) for number in numbers]
-    # The first draw chooses the environment, even if there is only one: so a mix has the scenes of its environments.
-    draw = np.array([rng.random() for rng in rngs])
-    picked = np.searchsorted(np.cumsum(list(shares.values())), draw, side="right")
-    picked = np.minimum(picked, len(shares) - 1)  # shares may add up to a little less than 1
-    builder = Builder(rngs, numbers, 1 + elements_of(environment), circle)
-    for k, name in enumerate(shares):
-        builder.place(environment_of(name), np.flatnonzero(picked == k))
+    builder = Builder(rngs, numbers, 1 + elements_of(environment), circle, random_attributes)
+    builder.mix([environment_of(name) for name in shares], list(shares.values()))
     if people is not None:
         builder = builder.with_people(people)
-    v_pref = np.where(builder.square, V_PREF, speed)
-    v_pref[:, 0] = V_PREF
-    return Scenes(builder.start, builder.goal, RADIUS, v_pref, builder.square, builder.label, numbers)
+    if people_speed is not None:
+        speed = in_range("people_speed", people_speed, 0, 1e6, whole=False)
+        builder.v_pref[:, 1:] = np.where(builder.square[:, 1:], V_PREF, speed)
+    places = builder.start, builder.goal, builder.radius, builder.v_pref, builder.square
+    return Scenes(*places, builder.label, numbers, V_PREF if random_attributes else None)
 
 
 def _numbers(episodes: int | Sequence[int]) -> np.ndarray:
@@ -225,15 +230,15 @@ class Environment:
 
 @cache
 def environment_of(name: str) -> Environment:
-    """The environment with a name: "1" to "5", "circle", "circle5", "maps", "map-u" or a drawing, "map:R.#.G/..#..".
+    """The environment with a name: "1" to "5", "circle", "square5", "maps", "map-u" or a drawing, "map:R.#.G/..#..".
 
     Raises ConfigError on unknown names, and on drawings that cannot be read.
     """
     if name in PAPER:
         return Environment(name, PAPER[name])
-    if match := re.fullmatch(r"circle(\d{1,3})?", name):
-        people = int(match[1] or 10)
-        return Environment(name, lambda builder, which: builder.people(which, people), people)
+    if match := re.fullmatch(r"(circle|square)(\d{1,3})?", name):
+        people, crossing = int(match[2] or 10), match[1] == "square"
+        return Environment(name, lambda builder, which: builder.people(which, people, crossing), people)
     from sfmrl.maps import layouts, map_environment  # here, since the core does without maps
 
     if environment := map_environment(name):

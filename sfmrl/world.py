@@ -27,7 +27,8 @@ class World(Batch):
     steps (E,): how many each episode has taken
     goal (E, N, 2): m; a square's is where it stands
     radius (E, N): m; half a square's side
-    v_pref (E, N): m/s, preferred and highest speed
+    v_pref (E, N): m/s, highest speed
+    preferred_speed (E, N): m/s, v_pref unless the scenes have their own
     square (E, N): bool, which rows are squares
     edges: the squares' outlines, for ORCA
     episode (E,): which row of the scenes each episode is
@@ -40,6 +41,7 @@ class World(Batch):
     goal: np.ndarray
     radius: np.ndarray
     v_pref: np.ndarray
+    preferred_speed: np.ndarray
     square: np.ndarray
     edges: Edges
     episode: np.ndarray
@@ -67,8 +69,8 @@ class World(Batch):
 
     @property
     def preferred_velocity(self) -> np.ndarray:
-        """Towards each agent's goal with v_pref, in CrowdNav's way slower on the last metre, (E, N, 2) m/s."""
-        return limit(self.goal - self.position, self.v_pref)
+        """Towards each agent's goal at its preferred speed; as in CrowdNav slower on the last metre, (E, N, 2) m/s."""
+        return limit(self.goal - self.position, self.preferred_speed)
 
     def ahead(self, action: np.ndarray) -> np.ndarray:
         """The robot's position in m after a step with `action`, (E, 2) or (E, A, 2) in m/s."""
@@ -81,7 +83,7 @@ class World(Batch):
             return self
         elements = 1 + np.argsort(~chosen, axis=1, kind="stable")[:, :most]
         rows = np.arange(len(self))[:, None], np.concatenate((np.zeros((len(self), 1), dtype=int), elements), axis=1)
-        each = ("position", "velocity", "goal", "radius", "v_pref", "square")
+        each = ("position", "velocity", "goal", "radius", "v_pref", "preferred_speed", "square")
         return replace(self, **{name: getattr(self, name)[rows] for name in each})
 
 
@@ -94,6 +96,7 @@ def reset(scenes: Scenes, simulation: Simulation = Simulation()) -> World:
         goal=scenes.goal,
         radius=scenes.radius,
         v_pref=scenes.v_pref,
+        preferred_speed=scenes.v_pref if scenes.preferred_speed is None else scenes.preferred_speed,
         square=scenes.square,
         edges=polygon_edges(scenes.polygons, scenes.start),
         episode=np.arange(len(scenes)),

@@ -424,6 +424,45 @@ def test_another_crowd_is_said_and_is_the_same_one_in_every_command(sfmrl: Call)
     assert (found["humans"], found["human_speed"]) == (12, 1.5)
 
 
+def test_random_attributes_are_part_of_a_training_and_of_its_tests(sfmrl: Call, tmp_path: Path):
+    mix = ("--environment", "circle5:0.5,square5:0.5")
+    il = sfmrl("il", *TINY_IL, *mix, "--random-attributes")
+    assert il.returncode == 0, il.stderr
+    assert " --random-attributes" in il.stderr.splitlines()[-1]  # what to type next
+    assert_one_line_error(sfmrl("rl", *TINY_RL, *mix, "--from", "runs/il-sarl-seed0"), "another simulation")
+    training = ("rl", *TINY_RL, *mix, "--random-attributes", "--run", "rl")
+    rl = sfmrl(*training, "--episodes", "8", "--threads", "1")
+    assert rl.returncode == 0, rl.stderr
+    for run in ("runs/il-sarl-seed0", "rl"):
+        assert sfmrl("verify", run, "--episodes", "4").returncode == 0
+    tested = json.loads((tmp_path / "rl" / "result.json").read_text())
+    found = json.loads(sfmrl("eval", "rl", "--episodes", "4", "--no-recover", "--json").stdout)
+    assert found["total_reward"] == tested["total_reward"]  # among people as in training, without another word
+    plain = json.loads(
+        sfmrl("eval", "rl", "--episodes", "4", "--no-random-attributes", "--no-recover", "--json").stdout
+    )
+    assert plain["total_reward"] != tested["total_reward"]
+
+
+def test_every_command_plays_the_same_people_with_random_attributes(sfmrl: Call):
+    where = ("--environment", "square5", "--random-attributes")
+    done = sfmrl("eval", "linear", *where, "--episodes", "20")
+    assert done.returncode == 0, done.stderr
+    see = done.stderr.splitlines()[-1].partition("see one: sfmrl ")[2]
+    assert "--environment square5" in see
+    assert see.endswith("--random-attributes")
+    replay = sfmrl(*shlex.split(see), "--frames", "1")
+    assert replay.returncode == 0, replay.stderr
+    assert "collision" in replay.stdout.lower()
+    compared = sfmrl("compare", "linear", "orca", *where, "--episodes", "20", "--json")
+    shown = json.loads(sfmrl("eval", "linear", *where, "--episodes", "20", "--json").stdout)
+    assert json.loads(compared.stdout)["policies"][0]["success"] == shown["success"]
+    drawings = [sfmrl("ascii-render", "--scenes", *where[:stop]).stdout for stop in (2, 3)]
+    assert drawings[0] != drawings[1]
+    assert "cross a square" in sfmrl("ascii-render", "--scenes", "--environment", "square").stdout
+    assert_one_line_error(sfmrl("eval", "orca", *where, "--human-speed", "1.5"), "exclude each other")
+
+
 def test_the_reader_of_a_pipe_may_leave_early():
     words = [sys.executable, "-m", "sfmrl", "ascii-render", "orca", "--frames", "90"]
     process = subprocess.Popen(words, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

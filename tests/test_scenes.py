@@ -4,9 +4,10 @@ import re
 
 import numpy as np
 import pytest
+from conftest import DATA
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import binomtest
+from scipy.stats import binomtest, ks_2samp
 
 from sfmrl.config import ConfigError
 from sfmrl.geometry import length
@@ -32,7 +33,7 @@ def distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
     return length(points[:, None] - others[None])
 
 
-@pytest.mark.parametrize("name", [*PAPER, "circle"])
+@pytest.mark.parametrize("name", [*PAPER, "circle", "square"])
 def test_the_robot_crosses_from_south_to_north_among_ten_elements_alike(scenes, name):
     scene = scenes[name]
     assert scene.start.shape == scene.goal.shape == (EPISODES, 11, 2)
@@ -43,7 +44,7 @@ def test_the_robot_crosses_from_south_to_north_among_ten_elements_alike(scenes, 
     assert (scene.v_pref == 1.0).all()
     assert not scene.square[:, 0].any()
     if name != "1":
-        squares = {"5": 10, "circle": 0}.get(name, 5)  # after the people
+        squares = {"5": 10, "circle": 0, "square": 0}.get(name, 5)  # after the people
         np.testing.assert_array_equal(scene.square, np.tile(np.arange(11) > 10 - squares, (EPISODES, 1)))
 
 
@@ -146,6 +147,99 @@ def test_circle_with_any_number_of_people(people):
         assert (np.abs(length(scene.start[:, 1:]) - radius) <= 0.5 * np.sqrt(2) + 1e-9).all()
 
 
+def smallest_gaps(points: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """The smallest gap between the discs about points (E, N, 2) of each episode, (E,) m."""
+    gap = length(points[:, :, None] - points[:, None]) - radius[:, :, None] - radius[:, None]
+    return np.where(np.eye(points.shape[1], dtype=bool), np.inf, gap).min((1, 2))
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+@pytest.mark.parametrize("name", ["square", "square1", "square5", "square20"])
+def test_people_cross_the_square_from_one_side_to_the_other(name, mixed):
+    scene = sample_scenes(name, EPISODES, seed=3, random_attributes=mixed)
+    assert scene.start.shape == (EPISODES, 1 + int(name[6:] or 10), 2)
+    start, goal = scene.start[:, 1:], scene.goal[:, 1:]
+    assert (np.abs((start, goal)) <= 5).all()
+    assert (start[..., 0] * goal[..., 0] < 0).all()
+    assert np.abs(start).max() > 4.9
+    assert binomtest(int((start[..., 0] > 0).sum()), start[..., 0].size).pvalue > 1e-3
+    for points in (scene.start, scene.goal):  # the robot's too
+        assert smallest_gaps(points, scene.radius).min() >= 0.2 - 1e-12
+    if name != "square1":
+        there = length(scene.start[:, :, None] - scene.goal[:, None]).min()
+        assert there < 0.5  # a start may be where another's goal is
+
+
+@pytest.mark.parametrize(
+    ("file", "name"), [("square", "square5"), ("square_mixed", "square5"), ("circle_mixed", "circle5")]
+)
+def test_scenes_are_distributed_as_crowdnav_s(file, name):
+    with np.load(DATA / f"crowdnav_scenes_5_{file}.npz") as data:
+        theirs = Scenes(data["start"], data["goal"], data["radius"], data["v_pref"])
+    ours = sample_scenes(name, 1000, seed=1, random_attributes=file.endswith("mixed"))
+
+    def marginals(scenes: Scenes) -> dict[str, np.ndarray]:
+        start, goal = scenes.start[:, 1:], scenes.goal[:, 1:]
+        radius, v_pref = scenes.radius[:, 1:], scenes.v_pref[:, 1:]
+        from_circle = np.abs(length(start) - 4)  # CrowdNav moves those with a high v_pref farther from the circle
+        parts = {"x": start[..., 0], "y": start[..., 1], "goal y": goal[..., 1], "radius": radius, "v_pref": v_pref}
+        parts |= {"gap": smallest_gaps(scenes.start, scenes.radius), "radius of the last": radius[:, -1]}
+        parts |= {"slow": from_circle[v_pref < 0.75], "fast": from_circle[v_pref > 1.25]}
+        return {what: part.ravel() for what, part in parts.items()}
+
+    for what, (one, other) in {k: (v, marginals(theirs)[k]) for k, v in marginals(ours).items()}.items():
+        if one.size == other.size == 0 or np.ptp(np.concatenate((one, other))) == 0:
+            continue
+        assert ks_2samp(one, other).pvalue > 1e-3, what
+    np.testing.assert_array_equal(ours.start[0, 0], theirs.start[0, 0])
+    for scenes in (ours, theirs):
+        assert (scenes.radius[:, 0] == 0.3).all()
+        assert (scenes.v_pref[:, 0] == 1.0).all()
+
+
+@pytest.mark.parametrize("name", ["1", "3", "circle", "square", "circle4:0.5,2:0.5"])
+@pytest.mark.parametrize("people", [None, 6])
+def test_random_attributes_are_those_of_people_who_keep_as_clear_as_ever(name, people):
+    scene = sample_scenes(name, 100, seed=2, people=people, random_attributes=True)
+    there = ~np.isnan(scene.start[..., 0])
+    others = there & ~scene.square
+    others[:, 0] = False
+    for part, own, low, high in ((scene.radius, 0.3, 0.3, 0.5), (scene.v_pref, 1.0, 0.5, 1.5)):
+        assert (part[~others] == own).all()  # the robot's and the squares'
+        assert low <= part[others].min() < low + 0.01 * (high - low) < high - 0.01 * (high - low) < part[others].max()
+        assert part[others].max() <= high
+    assert (scene.preferred_speed == 1.0).all()
+    for e in range(100):
+        agents = np.append(0, np.flatnonzero(others[e]))
+        start, radius, squares = scene.start[e], scene.radius[e], np.flatnonzero(scene.square[e])
+        assert smallest_gaps(start[None, agents], radius[None, agents]).min() >= 0.2 - 1e-12
+        apart = distances(start[agents], start[squares])
+        assert (apart >= 0.6 + radius[agents, None] - 1e-12).all()  # 0.9 m for 0.3 m
+
+
+def test_a_circle_grows_only_where_people_with_random_attributes_have_no_room():
+    for name, low, high in (("circle5", 0.0, 0.0), ("circle", 0.1, 0.4)):
+        scene = sample_scenes(name, 500, random_attributes=True)
+        reach = length(scene.start) - 0.5 * np.sqrt(2) * scene.v_pref  # without the noise, at least
+        assert low <= (reach[:, 1:] > 4.0 + 1e-9).any(1).mean() <= high
+        assert reach.max() < 6.0
+
+
+@pytest.mark.parametrize("name", ["table1", "circle", "square5", "maps"])
+def test_without_random_attributes_scenes_are_the_same_bits_and_leave_speeds_alone(name):
+    plain, asked = sample_scenes(name, 20, seed=2), sample_scenes(name, 20, seed=2, random_attributes=False)
+    assert same_scenes(plain, asked)
+    assert plain.preferred_speed is None
+    assert (plain.radius == 0.3).all()
+
+
+def test_on_maps_people_have_random_speeds_and_the_radius_that_they_have_room_for():
+    scene = sample_scenes("map:R.1.2/..#../a...G/....b", 50, random_attributes=True)
+    assert (scene.radius == 0.3).all()
+    assert np.ptp(scene.v_pref[:, 1:3]) > 0.8
+    assert (scene.v_pref[:, [0, 3]] == 1.0).all()
+
+
 @pytest.mark.parametrize("people", [0, 3, 10, 20, 100])
 def test_people_sets_how_many_there_are_among_the_same_squares_and_as_far_apart(people):
     plain, scene = sample_scenes("table2", 30, 4), sample_scenes("table2", 30, 4, people=people)
@@ -182,18 +276,24 @@ def same_scenes(one: Scenes, other: Scenes) -> bool:
     )
 
 
-@given(st.lists(st.integers(0, 60), min_size=1, max_size=12), st.sampled_from(["1", "4", "5", "table1", "table2"]))
-def test_an_episode_is_the_same_whatever_is_sampled_with_it(numbers, environment):
-    whole = sample_scenes(environment, 61, seed=2)
-    assert same_scenes(sample_scenes(environment, numbers, seed=2), whole.take(np.array(numbers)))
+ANY = st.sampled_from(["1", "4", "5", "table1", "table2", "circle5:0.5,square5:0.5"])
 
 
-def test_a_mix_holds_the_scenes_of_its_environments():
-    mix = sample_scenes("table1", 40)
-    for name in "12":
+@given(st.lists(st.integers(0, 60), min_size=1, max_size=12), ANY, st.booleans())
+def test_an_episode_is_the_same_whatever_is_sampled_with_it(numbers, environment, mixed):
+    whole = sample_scenes(environment, 61, seed=2, random_attributes=mixed)
+    some = sample_scenes(environment, numbers, seed=2, random_attributes=mixed)
+    assert same_scenes(some, whole.take(np.array(numbers)))
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+@pytest.mark.parametrize(("environment", "names"), [("table1", "1 2"), ("circle5:0.5,square5:0.5", "circle5 square5")])
+def test_a_mix_holds_the_scenes_of_its_environments(environment, names, mixed):
+    mix = sample_scenes(environment, 40, random_attributes=mixed)
+    for name in names.split():
         mine = mix.environment == name
         assert mine.any()
-        assert same_scenes(mix.take(mine), sample_scenes(name, 40).take(mine))
+        assert same_scenes(mix.take(mine), sample_scenes(name, 40, random_attributes=mixed).take(mine))
 
 
 def test_phases_and_seeds_never_share_a_scene():
@@ -205,7 +305,7 @@ def test_phases_and_seeds_never_share_a_scene():
 @pytest.mark.parametrize(
     ("call", "remedy"),
     [
-        (lambda: sample_scenes("6", 1), "choose 1, 2, 3, 4, 5, maps, circle, table1, table2"),
+        (lambda: sample_scenes("6", 1), "choose 1, 2, 3, 4, 5, maps, circle, square, table1, table2"),
         (lambda: sample_scenes("tabel1", 1), "did you mean table1"),
         (lambda: sample_scenes("1:0.7,2:0.2", 1), "add up to 1, as in 1:0.7,2:0.3"),
         (lambda: sample_scenes("1:half,2:0.5", 1), "share of environment 1 is 'half'; it must be a number"),
@@ -219,6 +319,10 @@ def test_phases_and_seeds_never_share_a_scene():
         (lambda: sample_scenes("1", 1, people=2.5), "people is 2.5"),
         (lambda: sample_scenes("1", 1, circle=np.nan), "circle is nan; it takes a number"),
         (lambda: sample_scenes("circle60", 1), "fewer people or a larger circle"),
+        (lambda: sample_scenes("square400", 1), "in this square; fewer people would fit"),
+        (lambda: sample_scenes("sqare", 1), "did you mean square"),
+        (lambda: sample_scenes("square1000", 1), "there is no environment 'square1000'"),
+        (lambda: sample_scenes("1", 1, people_speed=1.5, random_attributes=True), "exclude each other; leave out one"),
     ],
 )
 def test_errors_name_the_remedy(call, remedy):
@@ -287,6 +391,8 @@ HOLE = np.where(np.arange(3)[None, :, None] == 1, np.nan, START)
         ({"start": START, "goal": GOAL, "radius": 0.0}, "radius must be above 0"),
         ({"start": START, "goal": GOAL, "v_pref": -1.0}, "v_pref not below 0"),
         ({"start": START, "goal": GOAL, "v_pref": np.nan}, "v_pref not below 0"),
+        ({"start": START, "goal": GOAL, "preferred_speed": -1.0}, "nor preferred_speed"),
+        ({"start": START, "goal": GOAL, "preferred_speed": "fast"}, "preferred_speed must be of float"),
         ({"start": START, "goal": GOAL, "square": True}, "row 0, which is the robot"),
         ({"start": HOLE[:, [1, 0, 2]], "goal": GOAL}, "row 0 must not be NaN"),
         ({"start": START, "goal": GOAL * np.inf}, "finite"),

@@ -18,7 +18,7 @@ from sfmrl.rewards import COLLISION, OUTCOMES, RUNNING, SUCCESS, TIMEOUT, Transi
 from sfmrl.scenes import Scenes, sample_scenes
 from sfmrl.world import World, advance, crowd_velocities, reset, transition
 
-FILES = ("5_visible", "5_invisible", "10_visible", "10_invisible")
+FILES = ("5_visible", "5_invisible", "10_visible", "10_invisible", "5_square")
 
 
 @pytest.fixture(scope="module", params=FILES)
@@ -26,7 +26,7 @@ def crowdnav(request) -> tuple[dict[str, np.ndarray], Record]:
     """CrowdNav's sixty test cases, and ours from the same starts."""
     with np.load(DATA / f"crowdnav_orca_{request.param}.npz") as data:
         cases = dict(data)
-    visible = request.param.endswith("_visible")
+    visible = not request.param.endswith("_invisible")
     # Inside ORCA, CrowdNav adds 0.01 m to every radius, and 0.15 m more for a robot that nobody sees.
     simulation = Simulation(robot_visible=visible, safety_space=0.0 if visible else 0.15)
     record = play_episodes(Scenes(cases["start"], cases["goal"]), orca_policy, Reward(), simulation)
@@ -57,6 +57,31 @@ def test_rewards_are_crowdnav_s_wherever_the_trajectories_agree(crowdnav):
             assert record.reward[e, t] == pytest.approx(cases["reward"][e, t], abs=1e-4)
             compared += 1
     assert compared >= 500
+
+
+@pytest.mark.parametrize("file", ["5_circle_mixed", "5_square_mixed"])
+def test_people_with_random_attributes_move_as_crowdnav_s_in_every_step(file):
+    """Held step by step: radii and speeds that differ make whole episodes part after the smallest difference."""
+    with np.load(DATA / f"crowdnav_orca_{file}.npz") as data:
+        cases = dict(data)
+    assert np.ptp(cases["radius"]) > 0.15
+    assert np.ptp(cases["v_pref"]) > 0.9
+    scenes = Scenes(cases["start"], cases["goal"], cases["radius"], cases["v_pref"], preferred_speed=1.0)
+    episode, step = np.nonzero(np.arange(cases["velocity"].shape[1] - 1) < cases["steps"][:, None])
+    assert len(step) > 2000
+    moments = {name: cases[name][episode, step] for name in ("position", "velocity")}
+    moves = crowd_velocities(replace(reset(scenes).take(episode), **moments))
+    np.testing.assert_allclose(moves, cases["velocity"][episode, step + 1], atol=1e-5)  # ORCA computes in float32
+
+
+def test_a_preferred_speed_is_that_of_people_on_their_way_and_v_pref_their_limit():
+    start, goal = [[[0, -4], [9, 0], [0, 9]]], [[[0, 4], [-9, 0], [0, -9]]]
+    for crowd in ("orca", "sfm"):
+        scenes = Scenes(start, goal, v_pref=[1.0, 1.5, 0.5], preferred_speed=1.0)
+        record = play(scenes, "linear", crowd=crowd)
+        np.testing.assert_allclose(length(record.velocity[0, 12]), [1.0, 1.0, 0.5], atol=0.01)
+        plain = play(replace(scenes, preferred_speed=None), "linear", crowd=crowd)  # then all prefer v_pref
+        np.testing.assert_allclose(length(plain.velocity[0, 12]), [1.0, 1.5, 0.5], atol=0.01)
 
 
 def rvo2_step(world: World, e: int) -> np.ndarray:

@@ -43,7 +43,8 @@ class TestOptions:
 
     environment: str | None = option(
         None,
-        f"1 to 5, circle, circle5, maps, {', '.join(MIXES)} or shares, 1:0.7,2:0.3 (default the policy's test mix)",
+        f"1 to 5, circle, circle5, square, square5, maps, {', '.join(MIXES)} or shares, 1:0.7,2:0.3 "
+        "(default the policy's test mix)",
         autocompletion=completion.environments,
     )
     map_file: Path | None = options.MAP
@@ -73,11 +74,13 @@ class TestOptions:
         """Return the environment to play in: the one that is named, or the test environment of the config."""
         return config.reinforcement.test_environment if self.place is None else self.place
 
-    def scene(self, environment: str, episode: int) -> Any:
+    def scene(self, environment: str, episode: int, config: Config) -> Any:
         """Return the scene of one test episode."""
         from sfmrl.scenes import sample_scenes
 
-        return sample_scenes(environment, [episode], self.seed, people=self.humans, people_speed=self.human_speed)
+        crowd = {"people": self.humans, "people_speed": self.human_speed}
+        crowd["random_attributes"] = config.simulation.random_attributes
+        return sample_scenes(environment, [episode], self.seed, **crowd)
 
     def choose(self, policy: str | None, settings: dict[str, Any]) -> tuple[Any, str, Config]:
         """Return the policy, by default the newest finished run, its name, and its config with settings changed.

@@ -179,7 +179,7 @@ def plot(
     from sfmrl.study.plots import draw_episode
 
     chosen, _, config = test.choose(policy, settings)
-    scene = test.scene(test.where(config), episode)
+    scene = test.scene(test.where(config), episode, config)
     draw_episode(play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount), out)
     say(f"wrote {out}")
 

@@ -35,7 +35,7 @@ def explain(
 
     new_file(csv, "csv", test.overwrite)
     chosen, name, config = test.choose(policy, settings)
-    scene = test.scene(test.where(config), episode)
+    scene = test.scene(test.where(config), episode, config)
     record = play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount, keep=True)
     explained = explain_episode(record, 0, chosen, config.reward, config.discount)
     shown = chosen_steps(explained.steps, every, steps)

@@ -9,7 +9,7 @@ from sfmrl.cli import options
 from sfmrl.cli.console import new_file, out, say, say_result
 from sfmrl.cli.options import command, number_option, option
 from sfmrl.cli.session import TestOptions, exclude
-from sfmrl.config import Config, ConfigError, counted
+from sfmrl.config import Config, ConfigError, counted, override
 from sfmrl.runs.files import write_text
 
 MINIMUM = (20, 8)  # columns and lines of the smallest frame
@@ -79,13 +79,13 @@ def ascii_render(
     unplayed = {"--svg": look.svg, "--cast": look.cast, "--versus": versus}
     if (scenes or draw) and (needless := [flag for flag, value in unplayed.items() if value]):
         raise ConfigError(f"{'--scenes' if scenes else '--draw'} plays nothing; leave out {needless[0]}")
-    room = look.room()
+    room, config = look.room(), override(Config(), settings)
     if draw:
         from sfmrl.maps import draw_map
 
-        say_result(draw_map(test.scene(test.where(Config()), episode)).rstrip("\n"))
+        say_result(draw_map(test.scene(test.where(config), episode, config)).rstrip("\n"))
     elif scenes:
-        _print_scenes(test, episode, room, look.plain())
+        _print_scenes(test, episode, config, room, look.plain())
     else:
         if versus:
             _check_two(*room)
@@ -93,13 +93,14 @@ def ascii_render(
         _show(_replay(names, test, episode, settings, look.plain()), look, room)
 
 
-def _print_scenes(test: TestOptions, episode: int, room: tuple[int, int], ascii_only: bool) -> None:
+def _print_scenes(test: TestOptions, episode: int, config: Config, room: tuple[int, int], ascii_only: bool) -> None:
     """Print a picture of a sample of one environment, or of each."""
     from sfmrl.replay import scene_picture
     from sfmrl.scenes import ENVIRONMENTS
 
     for name in "12345" if test.place is None else [test.place]:
-        picture = scene_picture(test.scene(name, episode), width=room[0], height=room[1], ascii_only=ascii_only)
+        scene = test.scene(name, episode, config)
+        picture = scene_picture(scene, width=room[0], height=room[1], ascii_only=ascii_only)
         out.print(picture, soft_wrap=True)
         out.print(ENVIRONMENTS.get(name, ""), end="\n\n")
 
@@ -122,7 +123,7 @@ def _replay(
     from sfmrl.replay import Replay, make_story
 
     policies, names, (config, *_) = zip(*(test.choose(name, settings) for name in names), strict=True)
-    scene, how = test.scene(test.where(config), episode), (config.reward, config.simulation)
+    scene, how = test.scene(test.where(config), episode, config), (config.reward, config.simulation)
     if reason := why_unsolvable(scene, config.simulation.time_limit):
         say(reason)
     stories = []

@@ -151,6 +151,6 @@ def _joined(*worlds: World) -> World:
         start, end = end, end + len(world)
         values[:, : world.edges.values.shape[1], start:end] = world.edges.values
     edges = Edges(values, np.concatenate([world.edges.origin for world in worlds]))
-    each = ("position", "velocity", "steps", "goal", "radius", "v_pref", "square", "episode")
+    each = ("position", "velocity", "steps", "goal", "radius", "v_pref", "preferred_speed", "square", "episode")
     joined = {name: np.concatenate([getattr(world, name) for world in worlds]) for name in each}
     return replace(worlds[0], edges=edges, **joined)

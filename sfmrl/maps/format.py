@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sfmrl.config import ConfigError
-from sfmrl.placement import Builder
+from sfmrl.placement import RADIUS, Builder
 
 CELL = 0.6  # m, the side of a place, and of a square
 JITTER = 0.1  # m: people and the robot start at most this far from their places in x and in y
@@ -44,6 +44,9 @@ class Drawing:
         agents = len(self.start)
         for row in (*range(1, agents), 0):  # in this order each episode draws its noise
             leeway, moved = self.leeway[row], 0.0
+            if row:
+                builder.attributes(which, row)
+                builder.radius[which, row] = RADIUS  # the leeway is that of this radius
             if leeway:
                 moved = np.reshape([builder.rngs[e].uniform(-leeway, leeway, 2) for e in which], (-1, 2))
             builder.start[which, row], builder.goal[which, row] = self.start[row] + moved, self.goal[row] - moved

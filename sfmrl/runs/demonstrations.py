@@ -23,7 +23,8 @@ STORED = [item.name for item in fields(Transition) if item.name not in DERIVED]
 def save_demonstrations(record: Record, path: Path) -> None:
     """Write a record's trajectories: arrays (E, T, ...) as (S, ...), the steps of all episodes in one axis."""
     moments = np.arange(record.position.shape[1]) <= record.steps[:, None]
-    arrays = {f"scenes.{f.name}": getattr(record.scenes, f.name) for f in fields(Scenes)}
+    scenes = {f.name: getattr(record.scenes, f.name) for f in fields(Scenes)}
+    arrays = {f"scenes.{name}": part for name, part in scenes.items() if part is not None}
     arrays |= {f"transition.{name}": getattr(record.transition, name)[record.played] for name in STORED}
     arrays |= {"position": record.position[moments], "velocity": record.velocity[moments], "steps": record.steps}
     buffer = io.BytesIO()
@@ -37,7 +38,8 @@ def load_demonstrations(path: Path, simulation: Simulation) -> Record:
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             steps = arrays["steps"]
-            scenes = Scenes(*(arrays[f"scenes.{f.name}"] for f in fields(Scenes)))
+            names = [name for name in arrays if name.startswith("scenes.")]
+            scenes = Scenes(**{name.removeprefix("scenes."): arrays[name] for name in names})
             played = np.arange(steps.max()) < steps[:, None]
             moments = np.arange(steps.max() + 1) <= steps[:, None]
             stored = {name: _spread(arrays[f"transition.{name}"], played) for name in STORED}
