@@ -5,7 +5,7 @@ The simulator judges the episode's end (`outcome`) in CrowdNav's order: time-out
 does not mention time-outs (worth 0, as in CrowdNav), and lists the goal after discomfort.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -104,6 +104,22 @@ def _cases(transition: Transition, p: Reward) -> tuple[np.ndarray, np.ndarray]:
 
 
 REWARDS = {"crowd": crowd_terms, "sfm": sfm_terms, "sfm-discount": sfm_discount_terms}
+ALL_READ = ("success", "collision", "discomfort_distance")
+SFM_READS = (*ALL_READ, "discomfort_amplitude", "discomfort_decay", "k", "distance_weight")
+READS = {  # the settings that each reward reads
+    "crowd": (*ALL_READ, "discomfort_slope"),
+    "sfm": SFM_READS,
+    "sfm-discount": (*SFM_READS, "discount_start", "discount_rate"),
+}
+
+
+def check_read(reward: Reward, given: Iterable[str]) -> None:
+    """Raise ConfigError if the reward does not read one of the settings that the user has `given`."""
+    for name in given:
+        if reward.reward in READS and name not in ("reward", *READS[reward.reward]):
+            readers = " or ".join(other for other, read in READS.items() if name in read)
+            flag = name.replace("_", "-")
+            raise ConfigError(f"--{flag} changes nothing under --reward {reward.reward}; {readers} would read it")
 
 
 def reward_terms(reward: str | Reward | OwnReward) -> Callable[[Transition], Terms]:

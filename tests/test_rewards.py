@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,13 @@ from sfmrl.config import ConfigError, Reward
 from sfmrl.episodes import play
 from sfmrl.rewards import (
     COLLISION,
+    READS,
     REWARDS,
     RUNNING,
     SUCCESS,
     TIMEOUT,
     Transition,
+    check_read,
     reward_terms,
     total,
 )
@@ -258,3 +261,32 @@ def test_a_reward_for_progress_adds_up_to_the_way_that_was_made():
     end = record.position[np.arange(6), record.steps, 0] - record.scenes.goal[:, 0]
     start = record.scenes.start[:, 0] - record.scenes.goal[:, 0]
     np.testing.assert_allclose(np.nansum(record.reward, 1), np.hypot(*start.T) - np.hypot(*end.T))
+
+
+def test_a_setting_that_the_reward_does_not_read_is_refused():
+    """What a reward reads is found out by changing each setting; all outcomes, near and far, early and late."""
+    rng = np.random.default_rng(0)
+    many = rng.integers(0, 4, size=400)
+    step = Transition(
+        time=rng.uniform(1, 24, 400),
+        time_step=np.full(400, 0.25),
+        velocity=rng.normal(size=(400, 2)),
+        preferred_velocity=rng.normal(size=(400, 2)),
+        goal_distance_before=rng.uniform(0, 9, 400),
+        goal_distance=rng.uniform(0, 9, 400),
+        separations=rng.uniform(0, 0.6, (400, 3)),
+        outcome=many,
+    )
+    for name in REWARDS:
+        plain = Reward(reward=name)
+        for item in fields(Reward):
+            if item.name == "reward":
+                continue
+            changed = replace(plain, **{item.name: getattr(plain, item.name) * 1.5})
+            differs = not np.array_equal(total(reward_terms(plain)(step)), total(reward_terms(changed)(step)))
+            assert differs == (item.name in READS[name]), (name, item.name)
+            if differs:
+                check_read(plain, [item.name])
+            else:
+                with pytest.raises(ConfigError, match=f"--{item.name.replace('_', '-')} changes nothing under"):
+                    check_read(plain, [item.name])

@@ -91,6 +91,7 @@ class TestOptions:
         from sfmrl.own_code import names_code
         from sfmrl.policies import POLICIES, load_policy
         from sfmrl.recovery import with_recovery
+        from sfmrl.rewards import check_read
         from sfmrl.runs.weights import find_weights, model_names
 
         name = policy or str(newest_run(say))
@@ -99,6 +100,7 @@ class TestOptions:
         trust = self.trust_reward or settings.get("reward", {}).get("reward", False)
         chosen = load_policy(name, self.threads, trust_reward=trust)
         config = override(getattr(chosen, "config", Config()), settings)
+        check_read(config.reward, settings.get("reward", {}))
         if name not in (*POLICIES, *model_names()) and not names_code(name):
             say_habits(find_weights(name), config)
         return with_recovery(chosen, config.planner), name, config

@@ -57,18 +57,23 @@ class TrainingOptions:
     def new_config(self, variant: str | None, settings: dict[str, Any]) -> Config:
         """Return the config of a new training: that of --config, or of preset and variant, with settings changed."""
         from sfmrl.own_code import absolute, trusted
+        from sfmrl.rewards import check_read
 
         preset = settings.pop("preset", None)
         if name := settings.get("reward", {}).get("reward"):
             settings["reward"]["reward"] = absolute(name)
         if self.config is None:
-            return make_config(preset or "quick", variant or "sarl", **settings)
+            config = make_config(preset or "quick", variant or "sarl", **settings)
+            check_read(config.reward, settings.get("reward", {}))
+            return config
         config = trusted(_read_config(self.config), self.trust_reward)
         named = make_config(preset or config.preset, variant or "sarl")
         for table in [PRESETS] * bool(preset) + [VARIANTS] * bool(variant):
             for entry in table.values():
                 config = override(config, _values(named, entry))
-        return override(config, settings)
+        config = override(config, settings)
+        check_read(config.reward, settings.get("reward", {}))
+        return config
 
 
 def _read_config(path: Path) -> Config:
