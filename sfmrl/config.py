@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, Field, asdict, dataclass, field, fields, is_dataclass, replace
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, cast
 
 ANY_REWARD = (-1e6, 1e6)
 EPISODES = 100_000  # the most at once: the record of all of them must fit into memory
@@ -33,10 +33,10 @@ def knob(default: Any, help: str, low: float | None = None, high: float | None =
 
 def checked(item: Field, value: Any) -> Any:
     """The value of a field; raises ConfigError if its type, range or choices do not allow it."""
-    kind = item.default_factory if item.default is MISSING else type(item.default)
+    kind: Any = item.default_factory if item.default is MISSING else type(item.default)
     name, choices = item.name.replace("_", "-"), item.metadata.get("choices")
     if kind in (int, float):
-        return in_range(name, value, *item.metadata["range"], whole=kind is int)
+        return in_range(name, value, item.metadata["range"][0], item.metadata["range"][1], whole=kind is int)
     if not isinstance(value, kind):
         right = {bool: "true or false", str: "text"}.get(kind, f"a {kind.__name__}")
         raise ConfigError(f"{name} is {value!r}; it takes {right}")
@@ -47,7 +47,7 @@ def checked(item: Field, value: Any) -> Any:
 
 def in_range(name: str, value: Any, low: float, high: float, whole: bool = True) -> int | float:
     """`value` as an int (or float, if not `whole`); raises ConfigError unless it is a number from `low` to `high`."""
-    if isinstance(value, bool) or not isinstance(value, Integral if whole else Real) or value != value:
+    if isinstance(value, bool) or not isinstance(value, cast(Any, Integral if whole else Real)) or value != value:
         raise ConfigError(f"{name} is {value!r}; it takes a {'whole ' if whole else ''}number")
     if not low <= value <= high:
         bound, end = ("at least", low) if value < low else ("at most", high)
@@ -75,7 +75,7 @@ class Settings:
         cls.__doc__ = "\n".join((f"{cls.__doc__}\n", *lines))
 
     def __post_init__(self) -> None:
-        for item in fields(self):
+        for item in fields(cast(Any, self)):  # every subclass is a dataclass
             object.__setattr__(self, item.name, checked(item, getattr(self, item.name)))
 
 

@@ -8,6 +8,7 @@ import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any, cast
 
 import numpy as np
 
@@ -167,7 +168,7 @@ def _recorded(
     count, longest = len(start), start.simulation.longest
     moments = np.full((2, count, longest + 1, *start.position.shape[1:]), np.nan)
     moments[:, :, 0] = start.position, start.velocity
-    parts, notes = {}, {}
+    parts, notes = dict[str, np.ndarray](), Notes()
     nobody = start.take(slice(0))
     _write(parts, nobody, vars(transition(nobody, np.zeros((0, 2)))), count)  # makes the arrays, also for no scenes
     waiting = min(batch, count)  # the first of the episodes that wait for their turn
@@ -183,7 +184,7 @@ def _recorded(
         world = advance(world, moves, action)
         moments[:, world.episode, world.steps] = world.position, world.velocity
         going = step.outcome == RUNNING
-        if ended := np.count_nonzero(~going):
+        if ended := int(np.count_nonzero(~going)):
             progress(ended)
             fresh = np.arange(waiting, min(waiting + ended, count))
             world, waiting = _refill(start, world, going, fresh), waiting + len(fresh)
@@ -217,7 +218,7 @@ def _refill(start: World, world: World, going: np.ndarray, fresh: np.ndarray) ->
     """The world of the episodes that are `going` on (a mask), and of `fresh` ones (indices) at their start."""
     changing = ("position", "velocity", "steps")
     joined = {name: np.concatenate((getattr(world, name)[going], getattr(start, name)[fresh])) for name in changing}
-    return replace(start.take(np.concatenate((world.episode[going], fresh))), **joined)
+    return replace(start.take(np.concatenate((world.episode[going], fresh))), **cast(dict[str, Any], joined))
 
 
 def memory_size() -> float:

@@ -57,7 +57,8 @@ def evaluation_record(
     settings = own.reward if reward is None else reward
     environment = own.reinforcement.test_environment if environment is None else environment
     simulation = own.simulation if simulation is None else simulation
-    crowd = {"people": people, "people_speed": people_speed, "random_attributes": simulation.random_attributes}
+    crowd: dict[str, Any] = {"people": people, "people_speed": people_speed}
+    crowd["random_attributes"] = simulation.random_attributes
     scenes = sample_scenes(environment, episodes, seed, phase=phase, **crowd)
     return play_episodes(scenes, chosen, settings, simulation, discount=own.discount, progress=progress)
 

@@ -7,6 +7,7 @@ which episodes are played side by side, or on which process.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,7 @@ def explore(
     `episodes` in any scene.
     """
     settings = config.reinforcement
-    how = {"phase": "train", "random_attributes": config.simulation.random_attributes}
+    how: dict[str, Any] = {"phase": "train", "random_attributes": config.simulation.random_attributes}
     scenes = sample_scenes(settings.environment, episodes if numbers is None else numbers, config.seed, **how)
     scenes = thinned(scenes, config.sparse, config.seed)
     longest = config.simulation.longest

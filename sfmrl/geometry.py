@@ -44,7 +44,7 @@ def direction(vector: np.ndarray) -> np.ndarray:
     return vector / np.where(norm > 0, norm, 1.0)[..., None]
 
 
-def limit(vector: np.ndarray, longest: np.ndarray) -> np.ndarray:
+def limit(vector: np.ndarray, longest: np.ndarray | float) -> np.ndarray:
     """Each vector, shortened to `longest` if it is longer: (..., 2), (...) -> (..., 2)."""
     norm = length(vector)
     longer = norm > longest

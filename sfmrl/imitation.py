@@ -5,6 +5,7 @@ trajectories, without rewards and states, so one collection serves every reward 
 """
 
 from collections.abc import Callable
+from typing import Any
 
 from sfmrl.config import Config, ConfigError
 from sfmrl.episodes import Record, play_episodes, returns_of, rewards_of
@@ -20,7 +21,7 @@ from sfmrl.scenes import elements_of, generator, sample_scenes, thinned
 def demonstrate(config: Config, progress: Callable[[int], None] = lambda ended: None) -> Record:
     """Play the imitation episodes with ORCA; `progress` is called with the number that have just ended."""
     settings = config.imitation
-    how = {"phase": "imitation", "random_attributes": config.simulation.random_attributes}
+    how: dict[str, Any] = {"phase": "imitation", "random_attributes": config.simulation.random_attributes}
     scenes = sample_scenes(settings.environment, settings.episodes, config.seed, **how)
     scenes = thinned(scenes, config.sparse, config.seed)
     return play_episodes(scenes, orca_policy, config.reward, config.simulation, progress=progress)

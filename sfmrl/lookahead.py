@@ -138,7 +138,7 @@ def value_alone(config: Config, goal_distance: np.ndarray, radius: np.ndarray) -
 
 def world_states(world: World, config: Config) -> np.ndarray:
     """Robot-centred states of a world, (E, K, F), with a config's columns and reach."""
-    robot = (part[:, 0] for part in (world.position, world.velocity, world.goal, world.radius, world.v_pref))
+    robot = world.position[:, 0], world.velocity[:, 0], world.goal[:, 0], world.radius[:, 0], world.v_pref[:, 0]
     elements = elements_within(config.reach, world.position), world.velocity[:, 1:], world.radius[:, 1:]
     return robot_states(*robot, *elements, forces=config.forces)
 

@@ -146,7 +146,7 @@ def load(name: str, what: str = "reward") -> Callable:
 def trusted(config: Config, trust: bool | str) -> Config:
     """The config, its reward allowed to be run if `trust` is True or names the same reward."""
     name = config.reward.reward
-    named = type(trust) is str and absolute(trust) == absolute(name)  # type: not Untrusted, which only a file names
+    named = type(trust) is str and absolute(trust) == absolute(name)  # not Untrusted, which only a file names
     return override(config, {"reward": {"reward": str(name)}}) if trust is True or named else config
 
 

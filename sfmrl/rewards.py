@@ -7,6 +7,7 @@ does not mention time-outs (worth 0, as in CrowdNav), and lists the goal after d
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
+from typing import cast
 
 import numpy as np
 
@@ -150,7 +151,7 @@ def reward_terms(reward: str | Reward | OwnReward) -> Callable[[Transition], Ter
 
 def total(terms: Terms) -> np.ndarray:
     """The sum of a reward's terms, (...), added in their order."""
-    return sum(terms.values())
+    return cast(np.ndarray, sum(terms.values()))  # there is always a term
 
 
 def _own_terms(own: OwnReward, settings: Reward, name: str) -> Callable[[Transition], Terms]:

@@ -9,9 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from numbers import Integral
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sfmrl.batch import Batch
 from sfmrl.config import ConfigError, counted, in_range, suggest
@@ -46,12 +47,20 @@ class Scenes(Batch):
 
     start: np.ndarray
     goal: np.ndarray
-    radius: np.ndarray | float = RADIUS
-    v_pref: np.ndarray | float = V_PREF
-    square: np.ndarray | bool = False
-    environment: np.ndarray | str = "own"
-    episode: np.ndarray | None = None
-    preferred_speed: np.ndarray | float | None = None
+    radius: np.ndarray = cast(Any, RADIUS)
+    v_pref: np.ndarray = cast(Any, V_PREF)
+    square: np.ndarray = cast(Any, False)
+    environment: np.ndarray = cast(Any, "own")
+    episode: np.ndarray = cast(Any, None)
+    preferred_speed: np.ndarray | None = None
+
+    if TYPE_CHECKING:  # what it takes, before __post_init__ makes arrays of it
+
+        def __init__(
+            self, start: ArrayLike, goal: ArrayLike, radius: ArrayLike = RADIUS, v_pref: ArrayLike = V_PREF,
+            square: ArrayLike = False, environment: ArrayLike = "own", episode: ArrayLike | None = None,
+            preferred_speed: ArrayLike | None = None,
+        ) -> None: ...  # fmt: skip
 
     def __post_init__(self) -> None:
         start, goal = vectors("start", self.start).copy(), vectors("goal", self.goal).copy()
@@ -161,7 +170,7 @@ def _numbers(episodes: int | Sequence[int]) -> np.ndarray:
     numbers = np.asarray(episodes)
     if not np.issubdtype(numbers.dtype, np.integer) or numbers.ndim > 1 or (numbers < 0).any():
         raise ConfigError(f"episodes is {episodes!r}; it takes how many, or their numbers, counted from 0")
-    return np.arange(numbers) if numbers.ndim == 0 else numbers
+    return np.arange(numbers.item()) if numbers.ndim == 0 else numbers
 
 
 def thinned(scenes: Scenes, share: float, seed: int) -> Scenes:
@@ -242,7 +251,6 @@ def environment_of(name: str) -> Environment:
     from sfmrl.maps import layouts, map_environment  # here, since the core does without maps
 
     if environment := map_environment(name):
-        return environment
-    known = [*ENVIRONMENTS, *MIXES]
-    near = suggest(name, [*known, *layouts()])
+        return cast(Environment, environment)  # or a drawing, with the same members
+    known, near = [*ENVIRONMENTS, *MIXES], suggest(name, [*ENVIRONMENTS, *MIXES, *layouts()])
     raise ConfigError(f"there is no environment {name!r}; choose {', '.join(known)}{near}")

@@ -81,16 +81,16 @@ def sfm_velocities(
     velocity = broadcast("velocity", velocity, position.shape)
     preferred_velocity = broadcast("preferred_velocity", preferred_velocity, position.shape)
     max_speed, radius = broadcast("max_speed", max_speed, shape), broadcast("radius", radius, shape)
-    square = broadcast("square", square, shape) != 0
+    squares: np.ndarray = broadcast("square", square, shape) != 0
     offset = position[:, :, None, :] - position[:, None, :, :]  # (E, N, N, 2), from the second to the first
     overlap = force.d + (radius[:, :, None] + radius[:, None]) - length(offset)
     away = direction(offset)
-    if square.any():
+    if squares.any():
         gap, out = square_gap(offset, radius[:, None])
-        overlap = np.where(square[:, None], force.d + radius[:, :, None] - gap, overlap)
-        away = np.where(square[:, None, :, None], out, away)
+        overlap = np.where(squares[:, None], force.d + radius[:, :, None] - gap, overlap)
+        away = np.where(squares[:, None, :, None], out, away)
     push = resultant((force.a * np.exp(overlap / force.b))[..., None] * away)
     pull = goal_force(preferred_velocity, velocity, force.k)
     moved = limit(velocity + time_step * (pull + push), max_speed)
-    moved[square] = 0.0
+    moved[squares] = 0.0
     return np.where(np.isnan(position), np.nan, moved)

@@ -54,6 +54,7 @@ def robot_states(
         return x * cos + y * sin, y * cos - x * sin
 
     dx, dy = (element_position[..., axis] - position[..., axis, None] for axis in (0, 1))
+    own: list[np.ndarray | float]
     own = [goal_distance, v_pref, 0.0, radius, *turned(velocity[..., :1], velocity[..., 1:])]  # the columns in OWN
     element = [*turned(dx, dy), *turned(element_velocity[..., 0], element_velocity[..., 1])]  # those in ELEMENT
     element += [element_radius, np.sqrt(dx * dx + dy * dy), radius + element_radius]
@@ -62,7 +63,7 @@ def robot_states(
         pushed = resultant(push)
         own += [pushed[..., :1], pushed[..., 1:]]
         element += [push[..., 0], push[..., 1]]
-    return _joined(own + element)
+    return _joined([*own, *element])
 
 
 def _elements(

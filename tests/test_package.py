@@ -12,7 +12,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from conftest import ROOT
+from conftest import ROOT, environment
 
 import sfmrl
 
@@ -42,7 +42,7 @@ EXTRAS = {  # what optional extras install, and the files that use it
 WITH_TORCH = {"network"}
 PACKAGE = sorted((ROOT / "sfmrl").rglob("*.py"))
 MODELS = sorted((ROOT / "sfmrl" / "models").iterdir())
-DATA = [ROOT / "sfmrl" / name for name in ("maps/layouts.txt", "py.typed")]
+DATA = [ROOT / "sfmrl" / name for name in ("__init__.pyi", "maps/layouts.txt", "py.typed")]
 FILES = [path for path in PACKAGE if path.parent.name != "sfmrl" or path.stem not in ("__init__", "__main__")]
 
 
@@ -120,6 +120,43 @@ def test_importing_sfmrl_costs_nothing_and_every_name_it_promises_is_there():
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "module 'sfmrl' has no attribute 'nothing'"
+
+
+def test_the_stub_has_the_names_that_sfmrl_promises_from_the_same_files_in_their_order():
+    lines = (ROOT / "sfmrl" / "__init__.pyi").read_text(encoding="utf-8").splitlines()
+    named = [f"from sfmrl.{where} import {name} as {name}" for where, names in sfmrl._HOME.items() for name in names]
+    assert [line for line in lines if line][1:] == [*named, "__version__: str"]  # the first line says what it is
+
+
+USER = """
+from typing import Any, assert_type
+import numpy as np
+import sfmrl
+
+def still(world: sfmrl.World, crowd_velocity: np.ndarray) -> np.ndarray:
+    return np.zeros((len(world), 2))
+
+record = sfmrl.play(sfmrl.sample_scenes(1, 10), still, reward="sfm")
+assert_type(record, sfmrl.Record)
+assert_type(sfmrl.__version__, str)
+assert_type(sfmrl.evaluate("orca", episodes=10), dict[str, Any])
+sfmrl.play(sfmrl.sample_scenes(1, 10), still, rewards="sfm")
+"""
+
+
+def test_mypy_knows_what_the_public_names_take_and_return(tmp_path):
+    pytest.importorskip("mypy")
+    (tmp_path / "user.py").write_text(USER, encoding="utf-8")
+    # torch takes most of the time, and nothing here needs its types.
+    (tmp_path / "mypy.ini").write_text("[mypy]\nstrict = True\n[mypy-torch.*]\nfollow_imports = skip\n")
+    words = [sys.executable, "-m", "mypy", "--follow-imports=silent", "user.py"]
+    done = subprocess.run(
+        words, cwd=tmp_path, env=environment() | {"MYPYPATH": str(ROOT)}, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.splitlines()[0].startswith(
+        f"user.py:{len(USER.splitlines())}: error: Unexpected keyword argument"
+    )
+    assert "Found 1 error in 1 file" in done.stdout
 
 
 @pytest.mark.parametrize("name", sfmrl.__all__)

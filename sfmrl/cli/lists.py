@@ -22,7 +22,7 @@ def models(
 ) -> None:
     """List the trained networks that come with sfmrl, one for each row of the paper's tables."""
     from sfmrl.runs.weights import model_card, model_names
-    from sfmrl.study.sheets import card_lines, model_sheet
+    from sfmrl.study.sheets import Sheet, card_lines, model_sheet
 
     names = model_names()
     if name is not None and name not in names:
@@ -35,10 +35,10 @@ def models(
         shown = card_lines(cards[name]) if name else model_sheet(cards)
     except (LookupError, TypeError, ValueError, AttributeError):
         raise DamagedFile("a model's card is not what sfmrl came with; install sfmrl again") from None
-    if name:
-        say_result("\n".join(shown))
-    else:
+    if isinstance(shown, Sheet):
         print_sheet(shown)
+    else:
+        say_result("\n".join(shown))
 
 
 @command("sfmrl runs runs/tables")

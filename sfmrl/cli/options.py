@@ -11,7 +11,7 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import Field, fields, is_dataclass
 from functools import wraps
-from typing import Any
+from typing import Any, cast
 
 import typer
 from typer.core import TyperCommand
@@ -42,8 +42,10 @@ class Command(TyperCommand):
 
     def format_help(self, context: Any, formatter: Any, everything: bool = False) -> None:
         """Print the help."""
-        shown = copy(self)
-        shown.params = [_as_shown(each) for each in self.params if everything or not each.rich_help_panel]
+        shown: Any = copy(self)
+        shown.params = [
+            _as_shown(each) for each in cast(list[Any], self.params) if everything or not each.rich_help_panel
+        ]
         if len(shown.params) < len(self.params):
             shown.epilog += f"\n\n{context.command_path} --help-all shows all {len(self.params)} options, by section."
         TyperCommand.format_help(shown, context, formatter)
@@ -75,7 +77,7 @@ def number_option(default: float | None, help: str, low: float, high: float) -> 
 
 def _show_all(context: typer.Context, asked: bool) -> None:
     if asked:
-        context.command.format_help(context, context.make_formatter(), everything=True)
+        cast(Command, context.command).format_help(context, context.make_formatter(), everything=True)
         raise typer.Exit
 
 
@@ -108,9 +110,9 @@ def command(example: str, *sections: str) -> Callable[[Callable[..., None]], Cal
     """
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
-        text = inspect.cleandoc(function.__doc__)
+        text = inspect.cleandoc(function.__doc__ or "")
         text = re.sub(r"(?<!\n)\n(?!\n)", " ", text)  # Typer would keep the line ends of all paragraphs but the first
-        how = {"cls": Command, "help": text, "epilog": f"Example: {example}"}
+        how: dict[str, Any] = {"cls": Command, "help": text, "epilog": f"Example: {example}"}
         app.command(example.split()[1], **how)(_with_options(function, sections))
         return function
 
@@ -120,7 +122,7 @@ def command(example: str, *sections: str) -> Callable[[Callable[..., None]], Cal
 def _with_options(function: Callable[..., None], sections: tuple[str, ...]) -> Callable[..., None]:
     """Return what Typer calls: it takes each option as a parameter, and calls `function` with groups and settings."""
     knobs = _knobs(sections)
-    groups: dict[str, type] = {}
+    groups: dict[str, Any] = {}
     parameters: list[inspect.Parameter] = []
     for parameter in inspect.signature(function).parameters.values():
         if parameter.name == "settings":
@@ -128,7 +130,7 @@ def _with_options(function: Callable[..., None], sections: tuple[str, ...]) -> C
             parameters.append(inspect.Parameter("help_all", KEYWORD, default=HELP_ALL, annotation=bool))
         elif is_dataclass(parameter.annotation):
             groups[parameter.name] = parameter.annotation
-            parameters += inspect.signature(parameter.annotation).parameters.values()
+            parameters += inspect.signature(groups[parameter.name]).parameters.values()
         else:
             parameters.append(parameter)
 
@@ -141,7 +143,8 @@ def _with_options(function: Callable[..., None], sections: tuple[str, ...]) -> C
             given["settings"] = _settings(knobs, given)
         function(**given)
 
-    wrapper.__signature__ = inspect.Signature([parameter.replace(kind=KEYWORD) for parameter in parameters])
+    signature = inspect.Signature([parameter.replace(kind=KEYWORD) for parameter in parameters])
+    wrapper.__signature__ = signature  # type: ignore[attr-defined]  # functions may have any attribute
     wrapper.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return wrapper
 

@@ -1,6 +1,7 @@
 """What commands share: the options of those that play test episodes, and what to type next."""
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -78,7 +79,7 @@ class TestOptions:
         """Return the scene of one test episode."""
         from sfmrl.scenes import sample_scenes
 
-        crowd = {"people": self.humans, "people_speed": self.human_speed}
+        crowd: dict[str, Any] = {"people": self.humans, "people_speed": self.human_speed}
         crowd["random_attributes"] = config.simulation.random_attributes
         return sample_scenes(environment, [episode], self.seed, **crowd)
 
@@ -105,12 +106,12 @@ class TestOptions:
             say_habits(find_weights(name), config)
         return with_recovery(chosen, config.planner), name, config
 
-    def play(self, policies: list[Any], config: Config, episodes: int) -> list[Any]:
+    def play(self, policies: Sequence[Any], config: Config, episodes: int) -> list[Any]:
         """Return the records of policies that play the same test episodes, with this config's simulation and reward."""
         from sfmrl.evaluation import evaluation_record
         from sfmrl.runs.progress import show_progress
 
-        how = {"environment": self.where(config), "episodes": episodes, "seed": self.seed}
+        how: dict[str, Any] = {"environment": self.where(config), "episodes": episodes, "seed": self.seed}
         how |= {"people": self.humans, "people_speed": self.human_speed}
         how |= {"simulation": config.simulation, "reward": config.reward}
         records = []

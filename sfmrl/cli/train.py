@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from sfmrl.cli import completion, options
 from sfmrl.cli.console import err, print_metrics, say
@@ -44,10 +44,10 @@ class TrainingOptions:
 
         if any((self.config, self.run, self.overwrite, self.go_on, *others)):
             raise ConfigError(f"--resume takes every setting from {self.resume}; leave out the others")
-        run = open_run(self.resume, kind)
+        run = open_run(cast(Path, self.resume), kind)
         return replace(run, config=trusted(run.config, self.trust_reward))
 
-    def existing(self) -> dict[str, bool]:
+    def existing(self) -> dict[str, Any]:
         """Return what `create_run` should do with an existing run; raises ConfigError if that is unclear."""
         if self.go_on and self.run is None:
             raise ConfigError("--continue needs the folder to go on with; name it with --run")
@@ -166,7 +166,7 @@ def _new_config(
         schedule["environment"] = environment
         schedule.setdefault("test_environment", environment)
     config = training.new_config(variant, settings)
-    if map_file and (reason := why_unsolvable(sample_scenes(environment, [0]), config.simulation.time_limit)):
+    if map_file and (reason := why_unsolvable(sample_scenes(str(environment), [0]), config.simulation.time_limit)):
         say(f"{map_file}: {reason}")
     return config
 

@@ -122,7 +122,7 @@ def _replay(
     from sfmrl.maps import why_unsolvable
     from sfmrl.replay import Replay, make_story
 
-    policies, names, (config, *_) = zip(*(test.choose(name, settings) for name in names), strict=True)
+    policies, named, (config, *_) = zip(*(test.choose(name, settings) for name in names), strict=True)
     scene, how = test.scene(test.where(config), episode, config), (config.reward, config.simulation)
     if reason := why_unsolvable(scene, config.simulation.time_limit):
         say(reason)
@@ -130,9 +130,9 @@ def _replay(
     for policy in policies:
         record = play_episodes(scene, policy, *how, discount=config.discount, keep=True)
         stories.append(make_story(record, 0, policy, config.reward, config.discount))
-    labels = tuple(Path(name).name for name in names)
+    labels = tuple(Path(name).name for name in named)
     differ = len(set(labels)) == len(labels)  # they do not if runs in two folders have the same name
-    return Replay(tuple(stories), labels if differ else names, ascii_only=ascii_only)
+    return Replay(tuple(stories), labels if differ else named, ascii_only=ascii_only)
 
 
 def _show(replay: Any, look: Look, room: tuple[int, int]) -> None:

@@ -6,7 +6,7 @@ to its goal.
 """
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -76,19 +76,19 @@ class Crowd:
         robot_visible: bool = True,
         phase: str = "train",
     ) -> None:
-        self.count = in_range("num_envs", count, 1, EPISODES)
+        self.count = int(in_range("num_envs", count, 1, EPISODES))
         self.forces = Config(forces=forces).forces
         self.simulation = Simulation(crowd=crowd, robot_visible=robot_visible)
         self.reward = Reward(reward=reward) if isinstance(reward, str) else reward
         self.terms = reward_terms(self.reward)
-        self.scene = {"environment": environment, "phase": phase}
+        self.scene: dict[str, Any] = {"environment": environment, "phase": phase}
         self.following: int | None = None  # number of the next episode
         self._ahead = self.world, self.labels = self._prepare(range(1))
 
     def start(self, rng: np.random.Generator, seeded: bool, options: dict[str, Any]) -> None:
         """Start the episodes from number `options["episode"]` on, else from a random one if `seeded`, else the next."""
         if "episode" in options:
-            self.following = in_range("episode", options["episode"], 0, SEED)
+            self.following = int(in_range("episode", options["episode"], 0, SEED))
         elif seeded or self.following is None:
             self.following = int(rng.integers(FIRST))
         self.world, self.labels = self._next(self.count)
@@ -134,11 +134,12 @@ class Crowd:
     def _next(self, count: int) -> tuple[World, np.ndarray]:
         """The next `count` episodes, from those that are prepared."""
         world, labels = self._ahead
-        first = self.following - int(world.episode[0])
+        number = cast(int, self.following)  # which `start` has chosen
+        first = number - int(world.episode[0])
         if not 0 <= first <= len(world) - count:
             first, most = 0, max(self.count, AHEAD)
-            world, labels = self._ahead = self._prepare(range(self.following, self.following + most))
-        self.following += count
+            world, labels = self._ahead = self._prepare(range(number, number + most))
+        self.following = number + count
         return world.take(slice(first, first + count)), labels[first : first + count]
 
 
@@ -152,5 +153,5 @@ def _joined(*worlds: World) -> World:
         values[:, : world.edges.values.shape[1], start:end] = world.edges.values
     edges = Edges(values, np.concatenate([world.edges.origin for world in worlds]))
     each = ("position", "velocity", "steps", "goal", "radius", "v_pref", "preferred_speed", "square", "episode")
-    joined = {name: np.concatenate([getattr(world, name) for world in worlds]) for name in each}
+    joined: dict[str, Any] = {name: np.concatenate([getattr(world, name) for world in worlds]) for name in each}
     return replace(worlds[0], edges=edges, **joined)

@@ -27,8 +27,9 @@ def as_text(crowd: Crowd, past: list[tuple[World, Transition]]) -> str:
         rest = transition(crowd.world, np.zeros((1, 2)))
         steps.append((crowd.world, replace(rest, outcome=np.array([TIMEOUT]))))
     record = _recorded(crowd, steps)
-    own = not isinstance(crowd.reward, Reward)  # a function, which a story cannot take
-    story = make_story(record, 0, None, Reward() if own else crowd.reward, DISCOUNT)
+    reward = crowd.reward if isinstance(crowd.reward, Reward) else Reward()
+    own = reward is not crowd.reward  # a function, which a story cannot take
+    story = make_story(record, 0, None, reward, DISCOUNT)
     if own:
         terms = crowd.terms(record.transition[0])
         factors = step_discount(DISCOUNT, crowd.world.v_pref[0, 0], crowd.simulation) ** np.arange(len(steps))

@@ -1,6 +1,7 @@
 """Episodes side by side, as a Stable-Baselines3 VecEnv."""
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, cast
 
 import numpy as np
 
@@ -50,8 +51,8 @@ def as_sb3(envs: CrowdVectorEnv) -> Any:
         def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
             return [False for _ in self._get_indices(indices)]
 
-        def get_images(self) -> tuple[np.ndarray, ...] | None:
-            return envs.render()
+        def get_images(self) -> Sequence[np.ndarray]:
+            return cast(tuple[np.ndarray, ...], envs.render())  # asked for only where there are images
 
         def close(self) -> None:
             envs.close()

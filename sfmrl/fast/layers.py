@@ -21,7 +21,7 @@ class Sizes(NamedTuple):
 def layer_shapes(forces: bool, sizes: Sizes = Sizes()) -> dict[str, tuple[int, ...]]:
     """The shapes of the parameters by CrowdNav's names; those of weights are (out, in)."""
     hidden, own = sizes.mlp1[-1], len(OWN) + 2 * forces
-    inputs = Sizes(len(column_names(forces)), hidden, 2 * hidden, own + sizes.mlp2[-1])
+    inputs = len(column_names(forces)), hidden, 2 * hidden, own + sizes.mlp2[-1]
     shapes: dict[str, tuple[int, ...]] = {}
     for part, units, first in zip(Sizes._fields, sizes, inputs, strict=True):
         for number, (size, width) in enumerate(zip(units, (first, *units[:-1]), strict=True)):

@@ -7,14 +7,14 @@ chooses; the gap is the smallest during it; all else is of its end.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from sfmrl.config import ConfigError, Reward
 from sfmrl.episodes import Record
 from sfmrl.geometry import length
-from sfmrl.lookahead import step_discount
+from sfmrl.lookahead import Lookahead, step_discount
 from sfmrl.replay import Story, make_story
 from sfmrl.rewards import Transition, reward_terms, total
 from sfmrl.sfm import resultant
@@ -86,7 +86,7 @@ def explain_episode(record: Record, row: int, policy: Any, reward: Reward, disco
     )
 
 
-def _columns(story: Story, transition: Transition, factors: np.ndarray) -> dict[str, Sequence]:
+def _columns(story: Story, transition: Transition, factors: np.ndarray) -> dict[str, Sequence | np.ndarray]:
     """Return the columns of the steps by name, (T,) each; `factors` (T,) discount their rewards to the start."""
     gap, push, paid = story.separations.min(axis=1, initial=np.inf), resultant(story.force[:-1]), total(story.terms)
     return {
@@ -155,11 +155,11 @@ def _events(story: Story) -> list[str]:
         for step in range(first - 1, last):
             events[step].append(f"too close to {nearest[step]}")
     before = np.concatenate(([False], story.stuck[:-1]))
-    for step in np.flatnonzero(story.stuck != before):
+    for step in np.flatnonzero(story.stuck != before).tolist():
         events[step].append("stuck: led around the squares" if story.stuck[step] else "free again")
     if story.look is not None:
         passed_over = story.look.values.argmax(1) != _taken(story)
-        for step in np.flatnonzero(passed_over & ~story.stuck):
+        for step in np.flatnonzero(passed_over & ~story.stuck).tolist():
             events[step].append("best action passed over: it may lead into a trap")
     return ["; ".join(words) for words in events]
 
@@ -181,4 +181,4 @@ def _values(story: Story) -> dict[str, np.ndarray]:
 
 def _taken(story: Story) -> np.ndarray:
     """Return the number of the action taken in each step, (T,)."""
-    return length(story.look.actions - story.velocity[1:, 0, None]).argmin(1)
+    return length(cast(Lookahead, story.look).actions - story.velocity[1:, 0, None]).argmin(1)

@@ -51,7 +51,7 @@ class Rerun:
         if len(stored.steps) != settings.episodes:
             raise Disagreement(f"it holds {whole}, config.json asks for {settings.episodes}")
         count = min(self.episodes, settings.episodes)
-        how = {"phase": "imitation", "random_attributes": simulation.random_attributes}
+        how: dict[str, Any] = {"phase": "imitation", "random_attributes": simulation.random_attributes}
         scenes = sample_scenes(settings.environment, count, run.config.seed, **how)
         scenes = thinned(scenes, run.config.sparse, run.config.seed)
         again = play_episodes(scenes, orca_policy, Reward(), simulation)  # any reward: ORCA's paths do not depend on it

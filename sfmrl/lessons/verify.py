@@ -182,8 +182,10 @@ def _rates(run: Run) -> str:
     result, whole = result_of(run), run.config.reinforcement.test_episodes
     best, recovering = result.get("best_validation"), result.get("with_recovery")
     for part, name in ((result, "test.csv"), (best, "test-best.csv"), (recovering, "")):
-        sources = {"its failures": outcomes(part, whole)} if part else {}
-        if part and name and (run.folder / name).exists():
+        if not part:
+            continue
+        sources = {"its failures": outcomes(part, whole)}
+        if name and (run.folder / name).exists():
             sources[name] = [row["outcome"] for row in read_table(run.folder / name)]
         for source, ends in sources.items():
             if len(ends) != whole or any(round(part[rate] * whole) != ends.count(rate) for rate in RATES):

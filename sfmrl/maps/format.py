@@ -43,7 +43,8 @@ class Drawing:
         """Put the scene into the episodes `which`; starts are moved within their leeway, goals by as much back."""
         agents = len(self.start)
         for row in (*range(1, agents), 0):  # in this order each episode draws its noise
-            leeway, moved = self.leeway[row], 0.0
+            leeway = self.leeway[row]
+            moved: np.ndarray | float = 0.0
             if row:
                 builder.attributes(which, row)
                 builder.radius[which, row] = RADIUS  # the leeway is that of this radius
@@ -63,7 +64,9 @@ def parse(text: str, name: str = "map", whole: bool = True) -> Drawing:
     if max(rows, columns) > MOST_PLACES:
         raise ConfigError(f"{name} is {columns} places wide and {rows} high; it may be {MOST_PLACES} of either")
 
-    squares, marks, where = [], {}, {}  # centres; all else by character: its place, and where it is written
+    squares: list[np.ndarray] = []  # centres
+    marks: dict[str, np.ndarray] = {}  # places of all else by character
+    where: dict[str, str] = {}  # and where it is written
     for row, (number, line) in enumerate(lines):
         for column, written in enumerate(line[indent:]):
             character = written.translate(_MEANT)
@@ -117,8 +120,8 @@ def _drawing(squares: np.ndarray, marks: dict[str, np.ndarray], where: dict[str,
             raise ConfigError(f"{where[letter]}: {letter} is the goal of person {person}, who is not there")
     beside = squares[_apart(start[0], squares) < 1.1 * CELL]
     start[0] = start[0] + OFF / CELL * (start[0] - beside).sum(0)
-    start, goal = np.array(start), np.array(goal)
-    return Drawing(start, goal, _leeway(start, goal, squares), squares)
+    starts, goals = np.array(start), np.array(goal)
+    return Drawing(starts, goals, _leeway(starts, goals, squares), squares)
 
 
 def _leeway(start: np.ndarray, goal: np.ndarray, squares: np.ndarray) -> np.ndarray:

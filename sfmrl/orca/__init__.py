@@ -15,6 +15,7 @@ summed over an axis: an episode's result has the same bits whatever the batch.
 from numbers import Integral
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sfmrl.geometry import broadcast, numbers
 from sfmrl.orca.agents import agent_half_planes, mutual_half_planes
@@ -33,20 +34,20 @@ np.empty(1 << 24, np.uint8)
 
 
 def orca_velocities(
-    position,
-    velocity,
-    preferred_velocity,
-    radius,
-    max_speed,
-    polygons=None,
+    position: ArrayLike,
+    velocity: ArrayLike,
+    preferred_velocity: ArrayLike,
+    radius: ArrayLike,
+    max_speed: ArrayLike,
+    polygons: ArrayLike | Edges | None = None,
     *,
-    agents=None,
-    time_step=0.25,
-    neighbor_distance=10.0,
-    max_neighbors=10,
-    time_horizon=5.0,
-    obstacle_time_horizon=5.0,
-):
+    agents: ArrayLike | None = None,
+    time_step: float = 0.25,
+    neighbor_distance: float = 10.0,
+    max_neighbors: int = 10,
+    time_horizon: float = 5.0,
+    obstacle_time_horizon: float = 5.0,
+) -> np.ndarray:
     """Return everybody's collision-avoiding velocities (E, N, 2) in m/s for the coming time step.
 
     position (m) is (E, N, 2), velocity and preferred_velocity (m/s) broadcast to it, radius (m) and max_speed (m/s) to

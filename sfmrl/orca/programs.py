@@ -84,7 +84,8 @@ def _optima(half_planes, max_speed, velocity, aim, linear):
         best, fits = _best_on(line, left, right, aim.take(q, axis=1), linear)
         feasible[q] = False
         m, q = m[fits], q[fits]
-        feasible[q], x[q], y[q] = True, *best
+        feasible[q] = True
+        x[q], y[q] = best
         return m, q
 
     # Step 2: the best on the line that is violated most.
@@ -129,7 +130,8 @@ def _keep_best(velocity, found, program, candidate, cost):
     np.minimum.at(least, program, cost)
     best = (cost == least[program]).nonzero()[0]
     program, (x, y) = program[best], velocity
-    found[program], x[program], y[program] = True, *candidate.take(best, axis=1)
+    found[program] = True
+    x[program], y[program] = candidate.take(best, axis=1)
 
 
 def _most_violated(excess, half_planes):

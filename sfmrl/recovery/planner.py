@@ -145,8 +145,8 @@ def _distances(
 def _shortest(far: np.ndarray, cost: np.ndarray) -> np.ndarray:
     """Path lengths (Y, E, X) from the cells where `far` is finite; the `cost` of a step's last cell weights it."""
     turned, cost = _widened(cost.transpose(2, 1, 0)), _widened(cost)
-    before = None
-    while not np.array_equal(far, before):
+    before: np.ndarray | None = None
+    while before is None or not np.array_equal(far, before):
         before = far
         far = _sweep(far, cost)
         far = _sweep(far.transpose(2, 1, 0), turned).transpose(2, 1, 0)

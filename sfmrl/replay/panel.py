@@ -135,7 +135,7 @@ def _bar(share: float, columns: int) -> str:
 
 def _actions(story: Story, t: int, rows: int, columns: int) -> list[Text]:
     """A heading and the disc of the actions' values at moment `t`; nothing at the end, where no action follows."""
-    if t == story.last:
+    if t == story.last or story.look is None:
         return []
     actions, values = story.look.actions[t], story.look.values[t]
     taken = int(length(actions - story.velocity[t + 1, 0]).argmin())

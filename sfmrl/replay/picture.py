@@ -85,7 +85,7 @@ def _drawing(scenes: Scenes, position: np.ndarray, seconds: float, title: str) -
     return f'<svg xmlns="http://www.w3.org/2000/svg" {box} style="{style}">{"".join(parts)}</svg>'
 
 
-def _walker(row: int, size: float, path: np.ndarray, goal: np.ndarray, seconds: float) -> str:
+def _walker(row: int | np.integer, size: float, path: np.ndarray, goal: np.ndarray, seconds: float) -> str:
     """The robot (row 0) or a person: its path (T, 2) as a line, and a disc, which moves if it has several points."""
     way = " ".join(f"{x:g},{y:g}" for x, y in (path if len(path) > 1 else [path[0], goal]))
     colour = PERSON if row else ROBOT

@@ -72,7 +72,7 @@ def draw_scene(canvas: Canvas, position, velocity, goal, radius, square, marked:
 
 def _draw_arrow(canvas: Canvas, place, vector, radius: float, glyphs: str, style: str, cells: int = 1) -> None:
     """Draw an arrow from the edge of a disc at `place`; its head alone, `cells` away, if the disc is not a ring."""
-    size = min(length(vector), ARROW_RANGE[1])
+    size = min(float(length(vector)), ARROW_RANGE[1])
     if not size > ARROW_RANGE[0]:  # NaN, too
         return
     head = glyphs[octant(vector)]

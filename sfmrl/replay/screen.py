@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -89,10 +90,14 @@ def play_live(
                 live.update(_with_hints(picture(), player, console) if read else picture(), refresh=True)
                 now, step = time.monotonic(), time_step / player.speed
                 due = min(max(due + step, now), now + step)  # drawing takes time, too: wait only for the rest
-                player = _after_wait(player, due, read, lambda size=size: console.size == size)
+                player = _after_wait(player, due, read, partial(_has_size, console, size))
             shown = shown if player is None else player.moment
     finally:
         console.print(picture())
+
+
+def _has_size(console: Console, size: tuple[int, int]) -> bool:
+    return console.size == size
 
 
 def _after_wait(player: Player, due: float, read: Callable | None, unchanged: Callable[[], bool]) -> Player | None:
@@ -107,9 +112,10 @@ def _after_wait(player: Player, due: float, read: Callable | None, unchanged: Ca
         if read is None:
             time.sleep(min(left, LONGEST_WAIT))
         elif keys := read(min(left, LONGEST_WAIT)):
+            pressed: Player | None = player
             for key in keys:
-                player = None if player is None else player.press(key)
-            return player
+                pressed = None if pressed is None else pressed.press(key)
+            return pressed
     return player
 
 

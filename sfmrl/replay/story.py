@@ -7,12 +7,13 @@ policy noted them in play. Attention is computed here, for all moments at once, 
 
 from dataclasses import dataclass, replace
 from string import ascii_letters, digits
+from typing import cast
 
 import numpy as np
 
 from sfmrl.config import Reward
 from sfmrl.episodes import Record
-from sfmrl.lookahead import Lookahead, Policy, step_discount
+from sfmrl.lookahead import Lookahead, Policy, SarlPolicy, step_discount
 from sfmrl.rewards import RUNNING, reward_terms, total
 from sfmrl.sfm import repulsive_forces
 from sfmrl.world import World, reset
@@ -53,12 +54,12 @@ class Story:
         """Rows of the elements that the robot collided with; empty without a collision."""
         return 1 + np.flatnonzero((self.separations[-1] < 0) & (self.outcome == "collision"))
 
-    def called(self, row: int) -> str:
+    def called(self, row: int | np.integer) -> str:
         """An element's name: "person 3", "square 8"."""
         return f"{'square' if self.square[row] else 'person'} {glyph_of(row)}"
 
 
-def glyph_of(row: int) -> str:
+def glyph_of(row: int | np.integer) -> str:
     """The one character that stands for the element in a row: 1 to 9, then letters, then "+"."""
     return ELEMENT_GLYPHS[row - 1] if row <= len(ELEMENT_GLYPHS) else "+"
 
@@ -69,7 +70,7 @@ def scene_name(environment: str, episode: int) -> str:
     return f"{named} · episode {episode}"
 
 
-def make_story(record: Record, row: int, policy: Policy, reward: Reward, discount: float) -> Story:
+def make_story(record: Record, row: int, policy: Policy | None, reward: Reward, discount: float) -> Story:
     """The story of the episode in one row of a record of `policy`; returns have the `discount` per second at 1 m/s.
 
     It has attention, values and stuck steps if the record has notes (`play_episodes(keep=True)`).
@@ -99,7 +100,7 @@ def make_story(record: Record, row: int, policy: Policy, reward: Reward, discoun
         returns=np.concatenate(([0.0], np.cumsum(total(terms) * factors))),
         outcome=str(record.outcome[0]),
         close=_stretches(1 + np.flatnonzero(close)),
-        attention=policy.attention(moments) if looks else None,
+        attention=cast(SarlPolicy, policy).attention(moments) if looks else None,
         look=Lookahead(notes["actions"], notes["values"], notes["best"]) if looks else None,
         stuck=notes.get("stuck", np.zeros(steps, dtype=bool)),
     )

@@ -38,7 +38,7 @@ from sfmrl.states import column_names
 from sfmrl.variants import variant_name
 
 
-def create_run(
+def create_run(  # type: ignore[return]  # its loop over count(1) ends by a return alone
     kind: str,
     config: Config,
     folder: Path | None,
@@ -147,7 +147,7 @@ def _open_same(folder: Path, kind: str, config: Config) -> Run:
     return replace(run, config=config)
 
 
-def start_run(config: Config, source: Path | None, from_scratch: bool, folder: Path | None, **existing: bool) -> Run:
+def start_run(config: Config, source: Path | None, from_scratch: bool, folder: Path | None, **existing: Any) -> Run:
     """Make the folder of a reinforcement run that starts from `source`, or with `from_scratch` from nothing.
 
     `source` is an imitation run, by default the newest with the same preset, seed and simulation (its reward and state

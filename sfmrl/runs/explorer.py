@@ -8,7 +8,9 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from functools import cache, partial
+from multiprocessing.process import BaseProcess
 from threading import Thread
+from typing import cast
 
 import numpy as np
 
@@ -67,8 +69,13 @@ def _prepare() -> None:
     """Set up the second process: it ignores signals, which the parent handles, and ends when the parent ends."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+    parent = cast(BaseProcess, multiprocessing.parent_process())  # only the first process has none
+
+    def end_with_it() -> None:
+        parent.join()
+        os._exit(1)
+
+    Thread(target=end_with_it, daemon=True).start()
 
 
 @cache
@@ -76,7 +83,14 @@ def _policy(config: Config, threads: int, sizes: Sizes) -> SarlPolicy:
     return SarlPolicy(new_network(config, sizes=sizes), config, threads)
 
 
-def _explore(config: Config, threads: int, sizes: Sizes, weights: np.ndarray, *numbers: Sequence[int]) -> Explored:
+def _explore(
+    config: Config,
+    threads: int,
+    sizes: Sizes,
+    weights: np.ndarray,
+    episodes: Sequence[int],
+    scenes: Sequence[int] | None,
+) -> Explored:
     policy = _policy(config, threads, sizes)
     policy.network.flat[:] = weights
-    return explore(policy, config, *numbers)  # of episodes and scenes
+    return explore(policy, config, episodes, scenes)

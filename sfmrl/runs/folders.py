@@ -14,7 +14,7 @@ from sfmrl.runs.files import SUMS, TEMPORARY, DamagedFile, read_listed, read_reg
 try:
     import fcntl
 except ImportError:  # on Windows, where nothing keeps a second process from training the same run
-    fcntl = None
+    fcntl = None  # type: ignore[assignment]  # for mypy, a module is never None
 
 RUNS = Path("runs")
 KINDS = ("il", "rl")

@@ -41,7 +41,7 @@ class Run:
 
     def save_checkpoint(self, state: dict[str, Any]) -> None:
         """Save a nested state as a checkpoint (JSON, and the arrays that it names); delete all but the newest."""
-        arrays: dict[str, np.ndarray] = {}
+        arrays: dict[str, Any] = {}
 
         def put_aside(array: np.ndarray) -> dict[str, str]:
             arrays[name := f"array{len(arrays)}"] = array
@@ -110,7 +110,7 @@ def _read_facts(path: Path) -> dict[str, Any]:
         facts = json_object(read_checked(path))
     except ValueError as error:
         raise DamagedFile(f"{path} is damaged: {error}; put back a copy") from None
-    types = {"kind": str, "variant": str, "created": str, "command": str, "versions": dict}
+    types: dict[str, Any] = {"kind": str, "variant": str, "created": str, "command": str, "versions": dict}
     types |= {"imitation": str | None, "weights": dict | None}
     if facts.get("kind") not in KINDS or not all(isinstance(facts.get(name), kind) for name, kind in types.items()):
         raise DamagedFile(f"{path} is damaged: it does not say {', '.join(types)} of a run; put back a copy")

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from sfmrl.config import ConfigError, counted
 from sfmrl.runs.files import read_regular, regular
@@ -108,8 +109,8 @@ class Processes:
         log = _log(job)
         log.parent.mkdir(parents=True, exist_ok=True)
         with open(regular(log), "a") as out:
-            how = {"stdin": subprocess.DEVNULL, "stdout": out, "stderr": subprocess.STDOUT, "start_new_session": True}
-            self._running[job] = subprocess.Popen([*SFMRL, *job.words], **how)
+            words, nothing, both = [*SFMRL, *job.words], subprocess.DEVNULL, subprocess.STDOUT
+            self._running[job] = subprocess.Popen(words, stdin=nothing, stdout=out, stderr=both, start_new_session=True)
         return True
 
     def ended(self) -> Iterator[tuple[Job, str]]:
@@ -151,7 +152,8 @@ class RayWorkers:
         except ImportError:
             raise ConfigError("--on ray needs Ray; install it with pip install 'sfmrl[ray]'") from None
         ray.init(log_to_driver=False, logging_level="error", ignore_reinit_error=True)
-        self._ray, self._sent = ray, {}  # references to results, and their jobs
+        self._ray = ray
+        self._sent: dict[Any, Job] = {}  # references to results, and their jobs
         self._train = ray.remote(num_cpus=1, max_retries=-1)(train_away)
         self._packed = cache(lambda folder: ray.put(pack(folder)))  # sent once to all jobs that need it
 
@@ -196,8 +198,9 @@ def train_away(job: Job, begun: Files, needed: Files) -> tuple[str, Files]:
 
 def pack(folder: Path | None) -> Files:
     """Return a folder's files."""
-    paths = folder.rglob("*") if folder else ()
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths if path.is_file()}
+    if folder is None:
+        return {}
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def unpack(files: Files, folder: Path) -> None:

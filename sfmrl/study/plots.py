@@ -60,7 +60,9 @@ def film(record: Record, episode: int = 0) -> FuncAnimation:
     """An episode, by its row, as an animation in real time."""
     figure, axes, scenes, position = _stage(record, episode)
     dt = record.simulation.time_step
-    discs = {row: axes.add_patch(Circle((0, 0), scenes.radius[0, row], color=_colour(row))) for row in _walkers(scenes)}
+    discs = {row: Circle((0, 0), scenes.radius[0, row], color=_colour(row)) for row in _walkers(scenes)}
+    for disc in discs.values():
+        axes.add_patch(disc)
     names = {row: axes.text(0, 0, str(row or "R"), ha="center", va="center", fontsize=8) for row in discs}
     clock = axes.text(0.02, 0.98, "", transform=axes.transAxes, va="top")
 

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
+from rich.console import JustifyMethod
 from rich.table import Table
 from rich.text import Text
 
@@ -37,14 +38,13 @@ class Sheet:
         return table
 
 
-def plain_table(*headings: str, first: str = "left", gap: int = 0, title: str | None = None) -> Table:
+def plain_table(*headings: str, first: JustifyMethod = "left", gap: int = 0, title: str | None = None) -> Table:
     """Return an empty table without an edge, its `first` column aligned as given and the others to the right.
 
     Columns are one space apart, and `gap` more.
     """
-    title = None if title is None else Text(title)
-    how = {"box": SIMPLE_HEAD, "padding": (0, gap, 0, 0), "pad_edge": False, "show_edge": False}
-    table = Table(title=title, title_justify="left", **how)
+    above, air = None if title is None else Text(title), (0, gap, 0, 0)
+    table = Table(title=above, title_justify="left", box=SIMPLE_HEAD, padding=air, pad_edge=False, show_edge=False)
     for number, heading in enumerate(headings):
         table.add_column(heading, justify="right" if number else first, no_wrap=True)
     return table

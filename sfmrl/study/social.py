@@ -125,7 +125,7 @@ def _turned(velocity: np.ndarray) -> np.ndarray:
     last = np.maximum.accumulate(np.where(moving, np.arange(moving.shape[1]), -1), axis=1)
     last = np.where(last < 0, moving.argmax(axis=1)[:, None], last)
     angle = np.take_along_axis(np.arctan2(velocity[..., 1], velocity[..., 0]), last, axis=1)
-    turn = np.diff(np.where(moving.any(axis=1)[:, None], angle, 0.0), axis=1)
+    turn = np.diff(np.where(moving.any(axis=1, keepdims=True), angle, 0.0), axis=1)
     return np.abs((turn + np.pi) % (2 * np.pi) - np.pi).sum(axis=1)
 
 

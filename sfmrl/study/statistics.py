@@ -92,7 +92,7 @@ def mean_difference(gaps: np.ndarray, exact_below: int = 0) -> dict[str, Any]:
     gaps = np.asarray(gaps, dtype=float)
     mean, (low, high) = float(gaps.mean()), mean_interval(gaps)
     exact = sign_test(int((gaps > ROUNDING).sum()), int((gaps < -ROUNDING).sum()))
-    if low is None:
+    if low is None or high is None:  # both or none
         return {"mean": mean, "low": None, "high": None, "p": exact}
     p = max(0.0, 1 - t_within(abs(mean) / _standard_error(gaps), len(gaps) - 1))
     return _difference(mean, low, high, max(p, exact) if len(gaps) < exact_below else p)

@@ -18,8 +18,8 @@ def table_validations(rows: dict[str, Trained]) -> list[dict[str, Any]]:
     for name, tested in rows.items():
         for episode, success in zip(tested.episodes, tested.validation.T, strict=True):
             low, high = mean_interval(success, 0.0, 1.0)
-            by_seed = dict(zip(tested.seeds, success.tolist(), strict=True))
-            by_seed = {f"seed {seed}": by_seed.get(seed) for seed in seeds}
+            found = dict(zip(tested.seeds, success.tolist(), strict=True))
+            by_seed = {f"seed {seed}": found.get(seed) for seed in seeds}
             mean = {"mean": float(success.mean()), "low": low, "high": high}
             lines.append({"row": name, "episode": int(episode), **mean, **by_seed})
     return lines
