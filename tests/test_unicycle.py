@@ -13,10 +13,14 @@ from sfmrl.episodes import Record, play
 from sfmrl.evaluation import evaluation_record
 from sfmrl.geometry import length, wrapped
 from sfmrl.learning import Memory
+from sfmrl.lessons.explain import explain_episode
+from sfmrl.lessons.tables import explanation_parts
 from sfmrl.lookahead import SarlPolicy, robot_actions, world_states
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import load_policy
 from sfmrl.recovery import RecoveringPolicy
+from sfmrl.replay import Replay, make_story
+from sfmrl.replay.panel import action_disc
 from sfmrl.rewards import COLLISION, OUTCOMES, reward_terms, total
 from sfmrl.runs.demonstrations import load_demonstrations, save_demonstrations
 from sfmrl.scenes import Scenes, sample_scenes
@@ -265,3 +269,44 @@ def test_an_evaluation_with_recovery_is_the_same_from_memory():
     one, other = (evaluation_record(RecoveringPolicy(policy, Planner()), **how) for policy in (plain, remembering))
     np.testing.assert_array_equal(one.position, other.position)
     np.testing.assert_array_equal(one.heading, other.heading)
+
+
+def test_a_replay_shows_where_the_robot_points_and_explain_how_it_turns():
+    """A robot that turns on the spot, from the right to straight up; the disc of actions is empty behind it."""
+    world = some_worlds(1, 0)
+    up, right = np.array([[0.0, 1.0]]), np.array([[1.0, 0.0]])
+    scenes = Scenes([[[0, 0], [3, 3]]], [[[9, 0], [3, 3]]])
+    record = play(scenes, lambda world, moves: -right if world.steps[0] < 2 else 0.0 * up, kinematics="unicycle")
+    story = make_story(record, 0, load_policy("linear"), Config().reward, 0.9)
+    frames = [Replay((story,), ("own",)).frame(t).plain for t in (0, 1, 2, 3)]
+    assert ["→" in frame for frame in frames] == [True, False, False, False]
+    explained = explain_episode(record, 0, load_policy("linear"), Config().reward, 0.9)
+    assert [round(row["turn"]) for row in explained.steps[:3]] in ([45, 45, 0], [-45, -45, 0])
+    table = explanation_parts(explained, explained.steps[:3], "own", 80)[1]
+    assert [column.header for column in table.columns][:3] == ["step", "time", "turn"]
+    assert "45°" in next(iter(table.columns[2].cells))
+    holonomic = explain_episode(play(scenes, "linear"), 0, load_policy("linear"), Config().reward, 0.9)
+    assert "turn" not in holonomic.steps[0]
+    actions = robot_actions(World(**{**vars(world), "heading": np.array([np.pi / 2])}))[0]
+    lines = [line.plain for line in action_disc(actions, np.arange(81.0), 0, rows=9)]
+    assert lines[0].strip()
+    assert not "".join(lines[7:]).strip()
+
+
+def test_commands_drive_a_unicycle_from_training_to_explanation(sfmrl, tmp_path):
+    short = ("--time-limit", 14, "--kinematics", "unicycle")
+    il = sfmrl("il", *short, "--episodes", 8, "--epochs", 1, "--run", "il")
+    assert il.returncode == 0, il.stderr
+    assert "--kinematics unicycle" in il.stderr
+    assert sfmrl("rl", "--from", "il", "--time-limit", 14).returncode == 2  # of another simulation
+    few = ("--episodes", 4, "--batches", 1, "--validation-episodes", 1, "--test-episodes", 2)
+    rl = sfmrl("rl", "--from", "il", *short, *few, "--run", "rl")
+    assert rl.returncode == 0, rl.stderr
+    assert sfmrl("verify", "rl").returncode == sfmrl("verify", "il").returncode == 0
+    assert "turn" in sfmrl("explain", "rl").stdout
+    assert sfmrl("ascii-render", "rl", "--frames", 2).returncode == 0
+    compared = sfmrl("compare", "rl", "orca", "--episodes", 2, "--kinematics", "unicycle")
+    assert compared.returncode == 0, compared.stderr
+    wrong = sfmrl("eval", "orca", "--kinematics", "unicycl")
+    assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1)
+    assert "did you mean unicycle" in wrong.stderr

@@ -43,6 +43,7 @@ class Story:
     attention: np.ndarray | None  # (T + 1, K); None for a policy without attention
     look: Lookahead | None  # of the T steps; None for a policy that does not look ahead
     stuck: np.ndarray  # (T,) bool, the steps in which recovery chose the action
+    heading: np.ndarray | None = None  # (T + 1,) rad, where a unicycle robot points; None for a holonomic one
 
     @property
     def last(self) -> int:
@@ -103,6 +104,7 @@ def make_story(record: Record, row: int, policy: Policy | None, reward: Reward, 
         attention=cast(SarlPolicy, policy).attention(moments) if looks else None,
         look=Lookahead(notes["actions"], notes["values"], notes["best"]) if looks else None,
         stuck=notes.get("stuck", np.zeros(steps, dtype=bool)),
+        heading=moments.heading,
     )
 
 
