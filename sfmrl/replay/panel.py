@@ -154,7 +154,7 @@ def _actions(story: Story, t: int, rows: int, columns: int) -> list[Text]:
 def action_disc(actions: np.ndarray, values: np.ndarray, taken: int, rows: int) -> list[Text]:
     """Draw actions (A, 2) as a disc in `rows` (odd) texts: zero velocity at the centre, the highest speed at the rim.
 
-    Directions are as on the plane; what is far from all actions, as behind a unicycle, stays empty. The higher the value
+    Directions are as on the plane; what is far from all actions, as behind a unicycle, is empty. The higher the value
     (A,) of an action, the denser its shade; `taken`, the index of the action that was taken, is marked "o".
     """
     radius = rows // 2
