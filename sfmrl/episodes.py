@@ -109,7 +109,7 @@ def play(
     robot_visible: bool = True,
     safety_space: float = 0.0,
     crowd: str = "orca",
-    kinematics: str = "holonomic",
+    kinematics: str | None = None,
     discount: float = 0.9,
 ) -> Record:
     """Play every scene to its end with `policy` and return the record.
@@ -121,16 +121,19 @@ def play(
     `reward` is "crowd", "sfm", "sfm-discount", "file.py:function", a `Reward` with its numbers, or a function that is
     given a `Transition` and `Reward()` and returns an array, one number for each transition. `safety_space` (m) is
     added to every radius if ORCA drives the robot; `crowd` is "orca" or "sfm"; `discount` is per second at 1 m/s. If
-    `kinematics` is "unicycle", the robot turns at most pi rad/s and drives ahead, whatever velocity the policy returns.
+    `kinematics` is "unicycle", the robot turns at most pi rad/s and drives ahead, whatever velocity the policy returns;
+    by default it is that of the policy's training, else "holonomic".
 
     Raises ConfigError if an argument is none of these, and if a policy or reward returns anything else.
     """
     if not isinstance(scenes, Scenes):
         raise ConfigError(f"scenes is {kind(scenes)}; it takes Scenes, as sample_scenes('circle5', 100) makes them")
-    seen = {"robot_visible": robot_visible, "safety_space": safety_space}
-    simulation = Simulation(crowd=crowd, kinematics=kinematics, **seen)
+    chosen = find_policy(policy, reward)
+    if kinematics is None:
+        kinematics = getattr(chosen, "config", Config()).simulation.kinematics
+    simulation = Simulation(crowd=crowd, kinematics=kinematics, robot_visible=robot_visible, safety_space=safety_space)
     discount = Config(discount=discount).discount  # checks its range
-    return play_episodes(scenes, find_policy(policy, reward), reward, simulation, discount=discount)
+    return play_episodes(scenes, chosen, reward, simulation, discount=discount)
 
 
 def play_episodes(
