@@ -86,6 +86,11 @@ class Simulation(Settings):
     time_step: float = knob(0.25, "length of a step, s", 1e-3, 10)
     time_limit: float = knob(25.0, "an episode is timed out 1 s before this time, s (CrowdNav)", 1, 3600)
     crowd: str = knob("orca", "what drives the humans", choices=("orca", "sfm"))
+    kinematics: str = knob(
+        "holonomic",
+        "the robot moves in any direction at once, or turns at most pi rad/s and drives ahead (CrowdNav)",
+        choices=("holonomic", "unicycle"),
+    )
     squares: str = knob("solid", "gaps to squares: to the outline, or disc inside (paper)", choices=("solid", "disc"))
     robot_visible: bool = knob(True, "the humans see the robot (paper: they do)")
     random_attributes: bool = knob(False, "humans differ: radius 0.3-0.5 m, at most 0.5-1.5 m/s (CrowdNav)")

@@ -21,7 +21,7 @@ from sfmrl.policies import find_policy
 from sfmrl.rewards import OUTCOMES, RUNNING, OwnReward, Terms, Transition, reward_terms, total
 from sfmrl.scenes import Scenes
 from sfmrl.states import elements_within, robot_states
-from sfmrl.world import World, advance, crowd_velocities, reset, transition
+from sfmrl.world import World, advance, crowd_velocities, drive, reset, transition
 
 BATCH = 256  # episodes side by side, unless a policy has its own number
 TOLERANCE = 1e-4  # m/s by which a policy may exceed v_pref: ORCA computes in float32
@@ -40,6 +40,7 @@ class Record(Batch):
     reward (E, T): of each step
     discounted_return (E,): the discounted sum of the rewards from the first step on
     notes: arrays (E, T, ...) by name, the policy's `Notes` on each step if they were kept
+    heading (E, T + 1): rad, a unicycle robot's, entry t before step t; None if the robot is holonomic
     """
 
     scenes: Scenes
@@ -51,6 +52,7 @@ class Record(Batch):
     reward: np.ndarray
     discounted_return: np.ndarray
     notes: Notes = field(default_factory=dict)
+    heading: np.ndarray | None = None
 
     def __repr__(self) -> str:
         ends = ", ".join(f"{(self.outcome == end).sum()} {end}" for end in OUTCOMES[1:])
@@ -79,8 +81,14 @@ class Record(Batch):
     def worlds(self) -> World:
         """The S worlds before every step played, in the order of episodes, then time."""
         episode, step = np.nonzero(self.played)
-        start = reset(self.scenes, self.simulation).take(episode)
-        return replace(start, position=self.position[episode, step], velocity=self.velocity[episode, step], steps=step)
+        return self.world_at(episode, step)
+
+    def world_at(self, episode: np.ndarray, step: np.ndarray) -> World:
+        """The worlds of episodes (S,) before steps (S,)."""
+        moved = {"position": self.position, "velocity": self.velocity}
+        moved |= {} if self.heading is None else {"heading": self.heading}
+        moved = {name: array[episode, step] for name, array in moved.items()}
+        return replace(reset(self.scenes, self.simulation).take(episode), steps=step, **moved)
 
     def states(self, config: Config) -> np.ndarray:
         """Robot-centred states (S, K, F) of the `worlds`, with a config's columns and reach."""
@@ -89,7 +97,8 @@ class Record(Batch):
         goal, radius, v_pref = (part[episode] for part in (self.scenes.goal, self.scenes.radius, self.scenes.v_pref))
         robot = position[:, 0], velocity[:, 0], goal[:, 0], radius[:, 0], v_pref[:, 0]
         elements = elements_within(config.reach, position), velocity[:, 1:], radius[:, 1:]
-        return robot_states(*robot, *elements, forces=config.forces)
+        heading = None if self.heading is None else self.heading[episode, step]
+        return robot_states(*robot, *elements, heading=heading, forces=config.forces)
 
 
 def play(
@@ -100,6 +109,7 @@ def play(
     robot_visible: bool = True,
     safety_space: float = 0.0,
     crowd: str = "orca",
+    kinematics: str | None = None,
     discount: float = 0.9,
 ) -> Record:
     """Play every scene to its end with `policy` and return the record.
@@ -110,15 +120,20 @@ def play(
 
     `reward` is "crowd", "sfm", "sfm-discount", "file.py:function", a `Reward` with its numbers, or a function that is
     given a `Transition` and `Reward()` and returns an array, one number for each transition. `safety_space` (m) is
-    added to every radius if ORCA drives the robot; `crowd` is "orca" or "sfm"; `discount` is per second at 1 m/s.
+    added to every radius if ORCA drives the robot; `crowd` is "orca" or "sfm"; `discount` is per second at 1 m/s. If
+    `kinematics` is "unicycle", the robot turns at most pi rad/s and drives ahead, whatever velocity the policy returns;
+    by default it is that of the policy's training, else "holonomic".
 
     Raises ConfigError if an argument is none of these, and if a policy or reward returns anything else.
     """
     if not isinstance(scenes, Scenes):
         raise ConfigError(f"scenes is {kind(scenes)}; it takes Scenes, as sample_scenes('circle5', 100) makes them")
-    simulation = Simulation(crowd=crowd, robot_visible=robot_visible, safety_space=safety_space)
+    chosen = find_policy(policy, reward)
+    if kinematics is None:
+        kinematics = getattr(chosen, "config", Config()).simulation.kinematics
+    simulation = Simulation(crowd=crowd, kinematics=kinematics, robot_visible=robot_visible, safety_space=safety_space)
     discount = Config(discount=discount).discount  # checks its range
-    return play_episodes(scenes, find_policy(policy, reward), reward, simulation, discount=discount)
+    return play_episodes(scenes, chosen, reward, simulation, discount=discount)
 
 
 def play_episodes(
@@ -145,7 +160,7 @@ def play_episodes(
     if begin := getattr(policy, "begin", None):
         begin(scenes, simulation)
     batch = getattr(policy, "batch", BATCH) if batch is None else batch
-    moments, parts, notes = _recorded(reset(scenes, simulation), policy, terms, batch, keep, progress)
+    moments, heading, parts, notes = _recorded(reset(scenes, simulation), policy, terms, batch, keep, progress)
     steps = 1 + (parts["outcome"] != RUNNING).argmax(1)
     most = int(steps.max(initial=0))
     played = Transition(**parts)[:, :most]
@@ -153,7 +168,8 @@ def play_episodes(
     returns = returns_of(rewards, step_discount(discount, scenes.v_pref[:, 0], simulation))[:, :1].sum(1)
     notes = {name: array[:, :most] for name, array in notes.items()}
     position, velocity = moments[:, :, : most + 1]
-    return Record(scenes, simulation, steps, position, velocity, played, rewards, returns, notes)
+    heading = None if heading is None else heading[:, : most + 1]
+    return Record(scenes, simulation, steps, position, velocity, played, rewards, returns, notes, heading)
 
 
 def _recorded(
@@ -163,11 +179,14 @@ def _recorded(
     batch: int,
     keep: bool,
     progress: Callable[[int], None],
-) -> tuple[np.ndarray, dict[str, np.ndarray], Notes]:
-    """Play all episodes of `start`: positions and velocities, (2, E, T + 1, N, 2), transitions' parts, and notes."""
+) -> tuple[np.ndarray, np.ndarray | None, dict[str, np.ndarray], Notes]:
+    """Play all episodes of `start`: positions and velocities (2, E, T + 1, N, 2), headings, parts, notes."""
     count, longest = len(start), start.simulation.longest
     moments = np.full((2, count, longest + 1, *start.position.shape[1:]), np.nan)
     moments[:, :, 0] = start.position, start.velocity
+    heading = None if start.heading is None else np.full((count, longest + 1), np.nan)
+    if heading is not None:
+        heading[:, 0] = start.heading
     parts, notes = dict[str, np.ndarray](), Notes()
     nobody = start.take(slice(0))
     _write(parts, nobody, vars(transition(nobody, np.zeros((0, 2)))), count)  # makes the arrays, also for no scenes
@@ -176,19 +195,21 @@ def _recorded(
     while len(world):
         moves = crowd_velocities(world)
         action, noted = _choice(policy, world, moves, keep)
-        step = transition(world, action)
+        step = transition(world, drive(world, action))
         if not world.steps.any():
             terms(step)  # so a reward that fails does so now, not after the last episode
         _write(parts, world, vars(step), count)
         _write(notes, world, noted, count)
         world = advance(world, moves, action)
         moments[:, world.episode, world.steps] = world.position, world.velocity
+        if heading is not None:
+            heading[world.episode, world.steps] = world.heading
         going = step.outcome == RUNNING
         if ended := int(np.count_nonzero(~going)):
             progress(ended)
             fresh = np.arange(waiting, min(waiting + ended, count))
             world, waiting = _refill(start, world, going, fresh), waiting + len(fresh)
-    return moments, parts, notes
+    return moments, heading, parts, notes
 
 
 def _choice(policy: Policy, world: World, moves: np.ndarray, keep: bool) -> tuple[np.ndarray, Notes]:
@@ -216,7 +237,7 @@ def _write(arrays: dict[str, np.ndarray], world: World, parts: dict[str, np.ndar
 
 def _refill(start: World, world: World, going: np.ndarray, fresh: np.ndarray) -> World:
     """The world of the episodes that are `going` on (a mask), and of `fresh` ones (indices) at their start."""
-    changing = ("position", "velocity", "steps")
+    changing = ("position", "velocity", "steps", *(() if world.heading is None else ("heading",)))
     joined = {name: np.concatenate((getattr(world, name)[going], getattr(start, name)[fresh])) for name in changing}
     return replace(start.take(np.concatenate((world.episode[going], fresh))), **cast(dict[str, Any], joined))
 

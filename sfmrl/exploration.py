@@ -14,7 +14,7 @@ import numpy as np
 from sfmrl.config import Config, Reinforcement
 from sfmrl.episodes import Record, play_episodes, returns_of
 from sfmrl.learning import Learner
-from sfmrl.lookahead import ACTIONS, SarlPolicy, step_discount
+from sfmrl.lookahead import ACTIONS, SarlPolicy, robot_actions, step_discount
 from sfmrl.scenes import generator, sample_scenes, thinned
 from sfmrl.world import World
 
@@ -36,11 +36,11 @@ def explore(
     longest = config.simulation.longest
     rngs = [generator(config.seed, "exploration", episode) for episode in episodes]
     random_steps = np.array([rng.random(longest) for rng in rngs]) < epsilon(settings, np.array(episodes))[:, None]
-    random_actions = ACTIONS[np.array([rng.integers(len(ACTIONS), size=longest) for rng in rngs])]  # (E, T, 2)
+    random_actions = np.array([rng.integers(len(ACTIONS), size=longest) for rng in rngs])  # (E, T), their indices
 
     def epsilon_greedy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
         at = (world.episode, world.steps)
-        action = random_actions[at] * world.v_pref[:, :1]
+        action = robot_actions(world)[np.arange(len(world)), random_actions[at]]
         greedy = np.flatnonzero(~random_steps[at])
         if len(greedy):
             action[greedy] = policy(world.take(greedy), crowd_velocity[greedy])

@@ -51,6 +51,16 @@ def limit(vector: np.ndarray, longest: np.ndarray | float) -> np.ndarray:
     return vector * np.where(longer, longest / np.where(longer, norm, 1.0), 1.0)[..., None]
 
 
+def unit(angle: np.ndarray) -> np.ndarray:
+    """Unit vector (..., 2) at an angle in rad (...)."""
+    return np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+
+
+def wrapped(angle: np.ndarray) -> np.ndarray:
+    """The same angle in rad (...) from -pi to pi."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
 def square_gap(offset: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distance from the outline of an axis-aligned square, m (...), and the unit vector straight away from it (..., 2).
 

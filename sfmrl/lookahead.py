@@ -13,23 +13,36 @@ import numpy as np
 
 from sfmrl.config import Config, ConfigError, Simulation
 from sfmrl.fast import as_fast
+from sfmrl.geometry import unit
 from sfmrl.rewards import COLLISION, reward_terms, total
-from sfmrl.states import elements_within, is_alone, robot_states
+from sfmrl.states import OWN, elements_within, is_alone, robot_states
 from sfmrl.traps import best_untrapped
-from sfmrl.world import World, transition
+from sfmrl.world import TURN_RATE, World, transition, turned
 
 BLOCK = 4  # episodes at most whose actions are valued together, so that the arrays stay in the processor's cache
 
 
-def _actions() -> np.ndarray:
-    """CrowdNav's 81 actions as shares of v_pref: stop, then 16 headings with 5 speeds (e^(i/5) - 1) / (e - 1) each."""
+def _actions(headings: np.ndarray) -> np.ndarray:
+    """Shares of v_pref, (..., 81, 2): stop, then 5 speeds (e^(i/5) - 1) / (e - 1) along 16 `headings` (..., 16) rad."""
     speeds = (np.exp(np.arange(1, 6) / 5) - 1) / (np.e - 1)
-    headings = np.arange(16) * (2 * np.pi / 16)
-    moves = speeds[None, :, None] * np.stack((np.cos(headings), np.sin(headings)), -1)[:, None]
-    return np.concatenate((np.zeros((1, 2)), moves.reshape(80, 2)))
+    moves = speeds[:, None] * unit(headings)[..., None, :]  # (..., 16, 5, 2)
+    many = headings.shape[:-1]
+    return np.concatenate((np.zeros((*many, 1, 2)), moves.reshape(*many, 80, 2)), axis=-2)
 
 
-ACTIONS = _actions()
+ACTIONS = _actions(np.arange(16) * (2 * np.pi / 16))  # CrowdNav's, of a holonomic robot
+
+
+def robot_actions(world: World) -> np.ndarray:
+    """The 81 actions of each robot in the world, (E, 81, 2) m/s.
+
+    A unicycle's headings are evenly spaced from its fastest turn to the right to its fastest to the left (CrowdNav).
+    """
+    if world.heading is None:
+        return ACTIONS * world.v_pref[:, 0, None, None]
+    most = min(TURN_RATE * world.simulation.time_step, np.pi)
+    return _actions(world.heading[:, None] + np.linspace(-most, most, 16)) * world.v_pref[:, 0, None, None]
+
 
 Notes = dict[str, np.ndarray]  # what a policy notes on its choice: arrays (E, ...) by name
 
@@ -93,7 +106,7 @@ class SarlPolicy:
 
     def lookahead(self, world: World, crowd_velocity: np.ndarray) -> Lookahead:
         """The values of all actions, and the best, in every episode of the world."""
-        actions = ACTIONS * world.v_pref[:, 0, None, None]  # (E, A, 2)
+        actions = robot_actions(world)  # (E, A, 2)
         values, outcome = self.judge(world, crowd_velocity, actions)
         if not np.isfinite(values).all():
             raise ConfigError(
@@ -122,10 +135,14 @@ class SarlPolicy:
         robot = world.ahead(action), action, world.goal[:, :1], world.radius[:, :1], world.v_pref[:, :1]
         places = elements_within(self.config.reach, world.position) + crowd_velocity[:, 1:] * world.simulation.time_step
         elements = places[:, None], crowd_velocity[:, None, 1:], world.radius[:, None, 1:]
-        states = robot_states(*robot, *elements, forces=self.config.forces)  # (e, A, K, F)
+        heading = turned(world, action)
+        states = robot_states(*robot, *elements, heading=heading, forces=self.config.forces)  # (e, A, K, F)
         ahead = self.network.evaluate(states)[0]
         if self.config.careful:
-            ahead = np.where(is_alone(states), value_alone(self.config, step.goal_distance, world.radius[:, :1]), ahead)
+            way = step.goal_distance
+            if heading is not None:  # a turn costs as much as the way that is lost meanwhile
+                way = way + world.v_pref[:, :1] * np.abs(states[..., 0, OWN.index("theta")]) / TURN_RATE
+            ahead = np.where(is_alone(states), value_alone(self.config, way, world.radius[:, :1]), ahead)
             ahead = np.where(step.outcome == COLLISION, 0.0, ahead)
         discount = step_discount(self.config.discount, world.v_pref[:, :1], world.simulation)
         return total(self._terms(step)) + discount * ahead, step.outcome
@@ -140,7 +157,7 @@ def world_states(world: World, config: Config) -> np.ndarray:
     """Robot-centred states of a world, (E, K, F), with a config's columns and reach."""
     robot = world.position[:, 0], world.velocity[:, 0], world.goal[:, 0], world.radius[:, 0], world.v_pref[:, 0]
     elements = elements_within(config.reach, world.position), world.velocity[:, 1:], world.radius[:, 1:]
-    return robot_states(*robot, *elements, forces=config.forces)
+    return robot_states(*robot, *elements, heading=world.heading, forces=config.forces)
 
 
 def step_discount(discount: float, v_pref: np.ndarray, simulation: Simulation) -> np.ndarray:

@@ -1,13 +1,13 @@
 """The robot-centred state: what the value network reads, a row for each element around the robot.
 
 The paper's two states. The robot's own columns are repeated in every element's row, as in SARL: 6 + 7 columns, or
-8 + 9 with social forces. The origin is the robot, and the x axis points to the goal. theta is always 0: it belongs to
-robots that cannot move sideways, which are left out.
+8 + 9 with social forces. The origin is the robot, and the x axis points to the goal. theta is 0, or the heading
+of a unicycle robot, in rad from the x axis, wrapped to -pi to pi; CrowdNav does not wrap it.
 """
 
 import numpy as np
 
-from sfmrl.geometry import direction, length, numbers, vectors
+from sfmrl.geometry import direction, length, numbers, vectors, wrapped
 from sfmrl.sfm import SocialForce, repulsive_forces, resultant
 
 OWN = ("goal_distance", "v_pref", "theta", "radius", "velocity_x", "velocity_y")
@@ -34,14 +34,16 @@ def robot_states(
     element_velocity: np.ndarray,
     element_radius: np.ndarray,
     *,
+    heading: np.ndarray | None = None,
     forces: bool = False,
     force: SocialForce = SocialForce(),
 ) -> np.ndarray:
     """Robot-centred states (..., K, F) as float32, F = 13 or 17; the leading axes (...) of all inputs broadcast.
 
-    The robot's `position`, `velocity`, `goal` (..., 2), `radius`, `v_pref` (...); its elements' `element_position`,
-    `element_velocity` (..., K, 2), `element_radius` (..., K); m and m/s. Absent elements are NaN in and out. If K = 0,
-    one absent element holds the robot's columns. Raises ValueError for other shapes.
+    The robot's `position`, `velocity`, `goal` (..., 2), `radius`, `v_pref` (...), and its `heading` (...) in rad if it
+    is a unicycle; its elements' `element_position`, `element_velocity` (..., K, 2), `element_radius` (..., K); m and
+    m/s. Absent elements are NaN in and out. If K = 0, one absent element holds the robot's columns. Raises ValueError
+    for other shapes.
     """
     position, velocity, goal = vectors("position", position), vectors("velocity", velocity), vectors("goal", goal)
     element_position, element_velocity, element_radius = _elements(element_position, element_velocity, element_radius)
@@ -49,13 +51,14 @@ def robot_states(
     goal_distance, way = length(goal - position)[..., None], direction(goal - position)
     # The rotation that lays the goal on the x axis; at the goal itself, no rotation.
     cos, sin = np.where(goal_distance == 0, 1.0, way[..., :1]), way[..., 1:]
+    theta = 0.0 if heading is None else wrapped(np.asarray(heading)[..., None] - np.arctan2(sin, cos))
 
     def turned(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return x * cos + y * sin, y * cos - x * sin
 
     dx, dy = (element_position[..., axis] - position[..., axis, None] for axis in (0, 1))
     own: list[np.ndarray | float]
-    own = [goal_distance, v_pref, 0.0, radius, *turned(velocity[..., :1], velocity[..., 1:])]  # the columns in OWN
+    own = [goal_distance, v_pref, theta, radius, *turned(velocity[..., :1], velocity[..., 1:])]  # the columns in OWN
     element = [*turned(dx, dy), *turned(element_velocity[..., 0], element_velocity[..., 1])]  # those in ELEMENT
     element += [element_radius, np.sqrt(dx * dx + dy * dy), radius + element_radius]
     if forces:  # in the frame of the offsets, which is the robot's
@@ -102,8 +105,8 @@ def elements_within(reach: float, position: np.ndarray) -> np.ndarray:
 
 
 def mirrored_columns(forces: bool) -> np.ndarray:
-    """The factors (F,) that mirror a state's columns left to right: -1 for those along y, else 1."""
-    return np.where([name.endswith("_y") for name in column_names(forces)], -1, 1).astype(np.float32)
+    """The factors (F,) that mirror a state's columns left to right: -1 for those along y and theta, else 1."""
+    return np.where([name.endswith(("_y", "theta")) for name in column_names(forces)], -1, 1).astype(np.float32)
 
 
 def is_alone(states: np.ndarray) -> np.ndarray:

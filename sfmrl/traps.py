@@ -10,7 +10,8 @@ The rule for one episode; `best_untrapped` and `trapped` compute it for many:
     trapped(world, depth): every action collides, or depth > 1 and trapped(the world after it, depth - 1)
 
 Every step is exact. As in `transition`, a collision is judged by the velocities that people had before the step: in the
-first step after the choice by their `crowd_velocity`, in later ones by what the simulator computes.
+first step after the choice by their `crowd_velocity`, in later ones by what the simulator computes. A unicycle robot
+has other actions after it has turned: the same, seen from itself.
 """
 
 from dataclasses import replace
@@ -19,7 +20,7 @@ import numpy as np
 
 from sfmrl.geometry import length
 from sfmrl.rewards import COLLISION, RUNNING
-from sfmrl.world import World, advance, crowd_velocities, transition
+from sfmrl.world import World, advance, crowd_velocities, onward, transition
 
 # Of the 81 actions (`lookahead.ACTIONS`: stop, then five speeds for each heading), those that are tried in sequences:
 # stop, and all headings at full speed and at 0.48 of it.
@@ -50,8 +51,10 @@ def best_untrapped(
         following = actions if depth == 1 else actions[:, OUTLOOK]
         while len(undecided):
             choice = candidates[undecided].argmax(1)
-            after = advance(world.take(undecided), crowd_velocity[undecided], actions[undecided, choice])
-            bad = (outcome[undecided, choice] == RUNNING) & trapped(after, following[undecided], depth)
+            before = world.take(undecided)
+            after = advance(before, crowd_velocity[undecided], actions[undecided, choice])
+            later = onward(following[undecided], before, after)
+            bad = (outcome[undecided, choice] == RUNNING) & trapped(after, later, depth)
             best[undecided[~bad]] = choice[~bad]
             has_way_out[undecided[~bad]] = True
             candidates[undecided[bad], choice[bad]] = -np.inf
@@ -81,8 +84,9 @@ def trapped(world: World, actions: np.ndarray, steps: int = 1) -> np.ndarray:
     if steps == 2:  # the last step needs no ORCA, whose edges are slow to copy
         before = replace(before, edges=before.edges.none())
     row, action = np.nonzero(~collides[doubtful])  # every possible first action, in all doubtful episodes
-    after = advance(before.take(row), moves[row], actions[doubtful[row], action])
-    goes_on = ~trapped(after, actions[doubtful[row]], steps - 1)
+    before = before.take(row)
+    after = advance(before, moves[row], actions[doubtful[row], action])
+    goes_on = ~trapped(after, onward(actions[doubtful[row]], before, after), steps - 1)
     lost[doubtful] = True
     lost[doubtful[row[goes_on]]] = False
     return lost

@@ -3,6 +3,9 @@
 A step is: `crowd_velocities` (independent of the robot's action), the policy's choice, `transition` (the one place that
 judges outcomes), `advance`. The lookahead calls `transition` with all actions at once. As in CrowdNav, the gap to a
 person is the smallest during the step, in which the robot moves with its action and the person as before the step.
+
+A unicycle robot has a heading. In a step it first turns towards the velocity that it wants, as far as it can, and then
+drives along its new heading.
 """
 
 from dataclasses import dataclass, replace
@@ -11,11 +14,13 @@ import numpy as np
 
 from sfmrl.batch import Batch
 from sfmrl.config import Simulation
-from sfmrl.geometry import closest_approach, direction, length, limit, square_gap
+from sfmrl.geometry import closest_approach, direction, length, limit, square_gap, unit, wrapped
 from sfmrl.orca import Edges, orca_velocities, polygon_edges
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenes import Scenes
 from sfmrl.sfm import CROWD_FORCE, sfm_velocities
+
+TURN_RATE = np.pi  # rad/s, the fastest turn of a unicycle: CrowdNav's pi/4 in a step of 0.25 s
 
 
 @dataclass(frozen=True)
@@ -33,6 +38,7 @@ class World(Batch):
     edges: the squares' outlines, for ORCA
     episode (E,): which row of the scenes each episode is
     simulation: time step, time limit and the crowd's model, a `Simulation`
+    heading (E,): rad, where a unicycle robot points; None if the robot is holonomic
     """
 
     position: np.ndarray
@@ -46,6 +52,7 @@ class World(Batch):
     edges: Edges
     episode: np.ndarray
     simulation: Simulation
+    heading: np.ndarray | None
 
     def __len__(self) -> int:
         return len(self.position)
@@ -88,7 +95,8 @@ class World(Batch):
 
 
 def reset(scenes: Scenes, simulation: Simulation = Simulation()) -> World:
-    """The world at the start of all `scenes`, everybody at rest."""
+    """The world at the start of all `scenes`, everybody at rest, a unicycle robot pointing to its goal."""
+    x, y = (scenes.goal[:, 0] - scenes.start[:, 0]).T
     return World(
         position=scenes.start,
         velocity=np.where(np.isnan(scenes.start), np.nan, 0.0),
@@ -101,6 +109,7 @@ def reset(scenes: Scenes, simulation: Simulation = Simulation()) -> World:
         edges=polygon_edges(scenes.polygons, scenes.start),
         episode=np.arange(len(scenes)),
         simulation=simulation,
+        heading=np.arctan2(y, x) if simulation.kinematics == "unicycle" else None,
     )
 
 
@@ -192,12 +201,49 @@ def smallest_gaps(world: World, action: np.ndarray) -> np.ndarray:
     return np.fmin(gap - (radius[:, 1:] + radius[:, :1])[axes], np.inf)  # NaN, to absent elements, becomes +inf
 
 
+def turned(world: World, wanted: np.ndarray) -> np.ndarray | None:
+    """A unicycle robot's heading in rad after a step with the velocity `wanted` (E, 2) or (E, A, 2) in m/s.
+
+    It turns towards that velocity, at most by `TURN_RATE`, and not at all if it wants to stop. None if holonomic.
+    """
+    if world.heading is None:
+        return None
+    heading, most = world.heading[_axes(wanted)], TURN_RATE * world.simulation.time_step
+    turn = wrapped(np.arctan2(wanted[..., 1], wanted[..., 0]) - heading)
+    return np.where(wanted.any(-1), wrapped(heading + np.clip(turn, -most, most)), heading)
+
+
+def drive(world: World, wanted: np.ndarray) -> np.ndarray:
+    """What the robot can do of the velocity `wanted`, (E, 2) or (E, A, 2) in m/s; a holonomic one, all of it.
+
+    A unicycle drives along its new heading with the part of the wanted velocity that points there, and never backwards.
+    """
+    if world.heading is None:
+        return wanted
+    ahead = unit(turned(world, wanted))
+    speed = wanted[..., 0] * ahead[..., 0] + wanted[..., 1] * ahead[..., 1]
+    return np.maximum(speed, 0.0)[..., None] * ahead
+
+
+def onward(actions: np.ndarray, before: World, after: World) -> np.ndarray:
+    """The robot's actions (E, A, 2) in m/s `before` a turn, as it has them `after`: a unicycle's turn with it."""
+    if after.heading is None:
+        return actions
+    x, y = np.moveaxis(actions, -1, 0)
+    cos, sin = unit(after.heading - before.heading).T[..., None]
+    return np.stack((x * cos - y * sin, x * sin + y * cos), axis=-1)
+
+
 def advance(world: World, velocity: np.ndarray, action: np.ndarray) -> World:
-    """The world after a step with everybody's `velocity` (E, N, 2) but the robot's `action` (E, 2), in m/s."""
+    """The world after a step with everybody's `velocity` (E, N, 2), but the robot's is `action` (E, 2), in m/s.
+
+    Of the action, a unicycle robot does what it can (`drive`).
+    """
     velocity = velocity.copy()
-    velocity[:, 0] = action
+    velocity[:, 0] = drive(world, action)
     position = world.position + velocity * world.simulation.time_step
-    return replace(world, position=position, velocity=velocity, steps=world.steps + 1)
+    heading = turned(world, action)
+    return replace(world, position=position, velocity=velocity, steps=world.steps + 1, heading=heading)
 
 
 def _axes(action: np.ndarray) -> tuple:

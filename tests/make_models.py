@@ -2,8 +2,8 @@
 
 For each row of both tables, quick preset, the seed whose validations in the second half of its training were the best
 on the mean (of several, the lowest) is taken: the test episodes have no say in it. Its weights and card go to
-sfmrl/models/; a card of the same weights stays. Without arguments, the networks that are there are tested anew and
-their cards renewed.
+sfmrl/models/; a card of the same weights stays. `unicycle RUN` makes the model of a robot that turns from its run.
+Without arguments, the networks that are there are tested anew and their cards renewed.
 """
 
 import json
@@ -18,7 +18,7 @@ from sfmrl.recovery import with_recovery
 from sfmrl.recovery.remembering import RememberingPolicy
 from sfmrl.runs.bits import machine_bits
 from sfmrl.runs.folders import WEIGHTS
-from sfmrl.runs.run import open_run
+from sfmrl.runs.run import Run, open_run
 from sfmrl.runs.weights import MODELS, load_weights, save_weights
 from sfmrl.study.tables import TABLES, Trained, make_jobs, parse_seeds, read_row, run_folder
 
@@ -54,9 +54,8 @@ def write_card(card: dict[str, Any], episodes: int) -> None:
     print(f"{card['name']}: seed {card['seed']}, {found}", flush=True)
 
 
-def make_model(name: str, number: int, row: str, tested: Trained, folder: Path) -> None:
-    table, seed = TABLES[number], best_seed(tested)
-    run = open_run(run_folder(folder, number, PRESET, row, seed))
+def make_model(name: str, row: str, run: Run, chosen: str, commands: list[str], test: tuple[str, int]) -> None:
+    """Copy a run's network and write its card; `test` is its environment and number of episodes."""
     network, config = load_weights(run.folder / WEIGHTS)
     config = replace(config, planner=replace(config.planner, recover=True))  # at play; no training sees it
     digest, path = save_weights(network, config, MODELS / f"{name}.npz"), MODELS / f"{name}.json"
@@ -68,16 +67,16 @@ def make_model(name: str, number: int, row: str, tested: Trained, folder: Path) 
         "name": name,
         "variant": row,
         "preset": PRESET,
-        "seed": seed,
-        "chosen": f"{CHOICE} {', '.join(map(str, tested.seeds))}",
-        "commands": [job.command for job in make_jobs(number, PRESET, [seed], [row], Path("runs/tables"))],
+        "seed": config.seed,
+        "chosen": chosen,
+        "commands": commands,
         "trained": run.facts["created"][:10],
         "versions": {key: value for key, value in run.facts["versions"].items() if key != "system"},
         "parameters": len(network.flat),
         "sha256": digest,
-        "environment": table.environment,
+        "environment": test[0],
     }
-    write_card(card, table.test_episodes)
+    write_card(card, test[1])
 
 
 def make_models(place: Path, seeds: list[int]) -> None:
@@ -87,11 +86,24 @@ def make_models(place: Path, seeds: list[int]) -> None:
             if tested is None:
                 print(f"no finished run of row {row} of table {number}")
                 continue
-            make_model(row + ("-table2" if number == 2 else ""), number, row, tested, place)
+            seed = best_seed(tested)
+            commands = [job.command for job in make_jobs(number, PRESET, [seed], [row], Path("runs/tables"))]
+            chosen = f"{CHOICE} {', '.join(map(str, tested.seeds))}"
+            run, test = open_run(run_folder(place, number, PRESET, row, seed)), (table.environment, table.test_episodes)
+            make_model(row + ("-table2" if number == 2 else ""), row, run, chosen, commands, test)
+
+
+def make_unicycle(folder: Path) -> None:
+    run = open_run(folder)
+    commands = [open_run(folder / run.facts["imitation"]).facts["command"], run.facts["command"]]
+    test = run.config.reinforcement.test_environment, run.config.reinforcement.test_episodes
+    make_model(f"{run.facts['variant']}-unicycle", run.facts["variant"], run, "the first seed", commands, test)
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
+    if sys.argv[1:2] == ["unicycle"]:
+        make_unicycle(Path(sys.argv[2]))
+    elif len(sys.argv) > 1:
         make_models(Path(sys.argv[1]), parse_seeds(sys.argv[2]))
     else:
         for path in sorted(MODELS.glob("*.json")):

@@ -20,9 +20,9 @@ from sfmrl.variants import make_config, variant_name
 NAMES = model_names()
 
 
-def test_there_is_a_model_for_each_row_of_both_tables():
+def test_there_is_a_model_for_each_row_of_both_tables_and_for_a_unicycle():
     rows = [*TABLES[1].paper, *(f"{row}-table2" for row in TABLES[2].paper)]
-    assert sorted(rows) == NAMES
+    assert sorted([*rows, "sarl-sfm2-unicycle"]) == NAMES
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -34,7 +34,8 @@ def test_a_model_is_what_its_card_says(name):
     assert config.forces == make_config(variant=card["variant"]).forces
     assert config.reward == make_config(variant=card["variant"]).reward
     if not name.endswith("-table2"):
-        assert variant_name(config) == name
+        assert variant_name(config) == card["variant"]
+        assert name == card["variant"] + "-unicycle" * (config.simulation.kinematics == "unicycle")
     assert config.reinforcement.test_environment == card["environment"]
     for test in (card["alone"], card["with_recovery"]):
         assert test["success"] + test["collision"] + test["timeout"] == pytest.approx(1)

@@ -117,6 +117,7 @@ def test_crowdnav_s_output_folder_plays_its_network_and_says_what_it_was_trained
     assert "unicycle" in moves
     assert "--no-robot-visible" in seen
     assert other_habits(path, robot_visible=False) == [moves]
+    assert other_habits(path, robot_visible=False, kinematics="unicycle") == []
     (tmp_path / "policy.config").write_bytes(b"\xff[")
     (tmp_path / "env.config").write_text("no section")
     assert other_habits(path, robot_visible=True) == []

@@ -26,7 +26,7 @@ def say_habits(path: Path, config: Config) -> None:
     """Say what the files beside a CrowdNav checkpoint set otherwise than this config."""
     from sfmrl.runs.crowdnav import other_habits
 
-    for note in other_habits(path, config.simulation.robot_visible):
+    for note in other_habits(path, config.simulation.robot_visible, config.simulation.kinematics):
         say(note)
 
 

@@ -28,6 +28,8 @@ def explanation_parts(
     legend = [f"{sign} {words}" for sign, (_, words) in MARKS.items() if sign in signs]
     notes = ["; ".join([f"{len(shown)} of {counted(len(steps), 'step')}", *legend])]
     notes.append("gap: smallest in the step, m; push: resultant repulsion, m/s^2")
+    if "turn" in steps[0]:
+        notes.append("turn: to the left, before the robot drives")
     if "value" in steps[0]:
         notes.append("value: of the action taken; next: of the best of the other 80")
     return [
@@ -41,15 +43,18 @@ def explanation_parts(
 
 def _steps_table(explanation: Explanation, shown: list[dict[str, Any]], columns: int) -> Table:
     """Return a line a step; terms that the whole episode never pays are left out."""
-    valued = "value" in shown[0]
+    valued, turning = "value" in shown[0], "turn" in shown[0]
     terms = [term for term, paid in explanation.plain.items() if paid and len(explanation.plain) > 1]
-    width = 21 + 14 * valued + (DIGITS + 4) * (1 + len(terms))
+    width = 21 + 6 * turning + 14 * valued + (DIGITS + 4) * (1 + len(terms))
     digits = DIGITS if width <= columns else FEWER_DIGITS
-    heads = ("step", "time", "gap", "push", *("value", "next") * valued, *(HEADS.get(name, name) for name in terms))
+    heads = ["step", "time", *("turn",) * turning, "gap", "push", *("value", "next") * valued]
+    heads += [HEADS.get(name, name) for name in terms]
     table = plain_table(*heads, "reward", first="right")
     for row in shown:
         gap = "-" if row["gap"] is None else f"{row['gap']:.2f}" if row["gap"] < 10 else f"{row['gap']:.1f}"
-        cells = [f"{row['step']}{mark(row['event']) or ' '}", f"{row['time']:.2f}", gap, f"{row['repulsion']:.2f}"]
+        cells = [f"{row['step']}{mark(row['event']) or ' '}", f"{row['time']:.2f}"]
+        cells += [f"{round(row['turn']):+}°"] if turning else []
+        cells += [gap, f"{row['repulsion']:.2f}"]
         cells += [f"{row[name]:.3f}" for name in ("value", "runner_up") if valued]
         table.add_row(*cells, *(_signed(row[name], digits) for name in (*terms, "reward")))
     return table

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from sfmrl.config import Planner, Simulation
-from sfmrl.geometry import closest_approach
-from sfmrl.lookahead import ACTIONS, Notes, Policy, explained
+from sfmrl.geometry import closest_approach, wrapped
+from sfmrl.lookahead import ACTIONS, Notes, Policy, explained, robot_actions
 from sfmrl.recovery.planner import Geodesics, plan
 from sfmrl.rewards import COLLISION, SUCCESS
 from sfmrl.scenes import Scenes
 from sfmrl.traps import best_untrapped
-from sfmrl.world import World, transition
+from sfmrl.world import TURN_RATE, World, transition, turned
 
 TRAP_STEPS = 2  # steps after the chosen action that must be possible without a collision
 
@@ -83,12 +83,21 @@ class RecoveringPolicy:
 
     def way_out(self, world: World, crowd_velocity: np.ndarray) -> np.ndarray:
         """The action (E, 2) in m/s after which the path to the goal is shortest, of those that are safe."""
-        actions = ACTIONS * world.v_pref[:, 0, None, None]  # (E, A, 2)
+        actions = robot_actions(world)  # (E, A, 2)
         outcome = transition(world, actions).outcome
         left = self.path_length(world, world.ahead(actions))
+        if world.heading is not None:
+            left = left + self.turns_left(world, actions)
         left = np.where(outcome == SUCCESS, -1.0, np.where(outcome == COLLISION, np.inf, left))
         best = best_untrapped(world, crowd_velocity, actions, -left, outcome, TRAP_STEPS)
         return actions[np.arange(len(world)), best]
+
+    def turns_left(self, world: World, actions: np.ndarray) -> np.ndarray:
+        """How far a unicycle could go while it turns to where the path leads, after each action (E, A, 2): (E, A) m."""
+        moves = ACTIONS * world.v_pref[:, 0, None, None]
+        shortest = self.path_length(world, world.ahead(moves)).argmin(1)
+        x, y = moves[np.arange(len(world)), shortest].T[..., None]
+        return world.v_pref[:, :1] * np.abs(wrapped(turned(world, actions) - np.arctan2(y, x))) / TURN_RATE
 
     def path_length(self, world: World, position: np.ndarray) -> np.ndarray:
         """How far it is from positions (E, ..., 2) to the robot's goal around the squares, (E, ...) m."""

@@ -20,8 +20,9 @@ class RememberingPolicy(SarlPolicy):
     def judge(self, world: World, crowd_velocity: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As SARL's, from memory where possible; a moment's key needs no `crowd_velocity`, which follows from it."""
         numbers = zip(world.episode.tolist(), world.steps.tolist(), strict=True)
-        moments = zip(numbers, world.position, world.velocity, strict=True)
-        keys = [(number, position.tobytes(), velocity.tobytes()) for number, position, velocity in moments]
+        heading = np.zeros(len(world)) if world.heading is None else world.heading
+        moments = zip(numbers, world.position, world.velocity, heading, strict=True)
+        keys = [(number, *(part.tobytes() for part in parts)) for number, *parts in moments]
         new = np.flatnonzero([key not in self._judged for key in keys])
         if len(new):
             judged = super().judge(world.take(new), crowd_velocity[new], actions[new])

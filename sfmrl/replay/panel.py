@@ -154,8 +154,8 @@ def _actions(story: Story, t: int, rows: int, columns: int) -> list[Text]:
 def action_disc(actions: np.ndarray, values: np.ndarray, taken: int, rows: int) -> list[Text]:
     """Draw actions (A, 2) as a disc in `rows` (odd) texts: zero velocity at the centre, the highest speed at the rim.
 
-    Directions are as on the plane. The higher the value (A,) of an action, the denser its shade; `taken`, the index of
-    the action that was taken, is marked "o".
+    Directions are as on the plane; what is far from all actions, as behind a unicycle, is empty. The higher the value
+    (A,) of an action, the denser its shade; `taken`, the index of the action that was taken, is marked "o".
     """
     radius = rows // 2
     speeds, ring = np.unique(np.round(length(actions), 6), return_inverse=True)
@@ -166,7 +166,8 @@ def action_disc(actions: np.ndarray, values: np.ndarray, taken: int, rows: int) 
     cells = np.stack((x, y), -1)  # (rows, columns, 2)
     distance = length(cells[:, :, None] - place)  # (rows, columns, A)
     rank = values.argsort().argsort() * len(SHADES) // len(values)  # (A,)
-    shown = np.where(length(cells) > radius + 0.3, OUTSIDE, rank[distance.argmin(-1)])
+    outside = (length(cells) > radius + 0.3) | (distance.min(-1) > 0.23 * radius + 0.15)
+    shown = np.where(outside, OUTSIDE, rank[distance.argmin(-1)])
     shown[np.unravel_index(distance[..., taken].argmin(), shown.shape)] = TAKEN
     return [styled([(" ", ""), *(DISC_CELLS[k] for k in row)]) for row in shown]
 

@@ -1,7 +1,8 @@
 """Draw the scene from above: positions, trails and velocities of the robot and people, and the force on the robot.
 
 Velocities are single arrows, the resultant of the repulsive forces is a double one. If the scale is large enough to
-draw discs as rings, the length of an arrow shows the magnitude; otherwise an arrow is one glyph beside its disc.
+draw discs as rings, the length of an arrow shows the magnitude; otherwise an arrow is one glyph beside its disc. A
+unicycle robot has an arrow along its heading even where it stands.
 """
 
 from collections.abc import Sequence
@@ -9,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from rich.text import Text
 
-from sfmrl.geometry import direction, length
+from sfmrl.geometry import direction, length, unit
 from sfmrl.replay.canvas import FORCE_ARROWS, NEIGHBOURS, VELOCITY_ARROWS, Canvas, Style, View, first_fitting, octant
 from sfmrl.replay.story import Story, glyph_of
 from sfmrl.sfm import resultant
@@ -19,6 +20,7 @@ TRAIL_POINTS = 4  # points per step of the robot's trail
 RING_ROWS = 0.9  # rows: discs of at least this radius are drawn as rings
 UNIT_RING = np.stack((np.cos(np.arange(48) * np.pi / 24), np.sin(np.arange(48) * np.pi / 24)), -1)
 ARROW_METRES = 0.5  # m, length of an arrow for 1 m/s or 1 m/s^2
+STANDING = 0.3  # m/s, for which a unicycle robot has an arrow if it is slower
 ARROW_RANGE = (0.05, 2.0)  # m/s or m/s^2: no arrow for less, no longer arrow for more
 
 
@@ -37,8 +39,10 @@ def draw_moment(story: Story, t: int, view: View, people_trails: bool) -> Canvas
     hit = story.hit if t == story.last else ()
     if len(hit):
         marked |= dict.fromkeys((0, *hit), Style.DANGER)
-    push = resultant(story.force[t])
-    draw_scene(canvas, position[t], story.velocity[t], story.goal[0], story.radius, story.square, marked, push)
+    push, velocity = resultant(story.force[t]), story.velocity[t].copy()
+    if story.heading is not None:
+        velocity[0] = max(length(velocity[0]), STANDING) * unit(story.heading[t])
+    draw_scene(canvas, position[t], velocity, story.goal[0], story.radius, story.square, marked, push)
     for row in hit:
         canvas.put(position[t, [0, row]].mean(0), "X", Style.DANGER)
         canvas.put(position[t, row], glyph_of(row), f"{Style.DANGER} reverse" if story.square[row] else Style.DANGER)

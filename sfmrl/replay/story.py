@@ -5,7 +5,7 @@ of a moment are those of the step that led to it; its action values are those of
 policy noted them in play. Attention is computed here, for all moments at once, because the last moment needs it, too.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from string import ascii_letters, digits
 from typing import cast
 
@@ -16,7 +16,7 @@ from sfmrl.episodes import Record
 from sfmrl.lookahead import Lookahead, Policy, SarlPolicy, step_discount
 from sfmrl.rewards import RUNNING, reward_terms, total
 from sfmrl.sfm import repulsive_forces
-from sfmrl.world import World, reset
+from sfmrl.world import World
 
 ELEMENT_GLYPHS = digits[1:] + ascii_letters
 
@@ -43,6 +43,7 @@ class Story:
     attention: np.ndarray | None  # (T + 1, K); None for a policy without attention
     look: Lookahead | None  # of the T steps; None for a policy that does not look ahead
     stuck: np.ndarray  # (T,) bool, the steps in which recovery chose the action
+    heading: np.ndarray | None = None  # (T + 1,) rad, where a unicycle robot points; None for a holonomic one
 
     @property
     def last(self) -> int:
@@ -103,14 +104,14 @@ def make_story(record: Record, row: int, policy: Policy | None, reward: Reward, 
         attention=cast(SarlPolicy, policy).attention(moments) if looks else None,
         look=Lookahead(notes["actions"], notes["values"], notes["best"]) if looks else None,
         stuck=notes.get("stuck", np.zeros(steps, dtype=bool)),
+        heading=moments.heading,
     )
 
 
 def _moments(record: Record) -> World:
     """The world at each of the T + 1 moments of a record of one episode."""
     steps = np.arange(record.steps[0] + 1)
-    start = reset(record.scenes, record.simulation).take(np.zeros_like(steps))
-    return replace(start, position=record.position[0, steps], velocity=record.velocity[0, steps], steps=steps)
+    return record.world_at(np.zeros_like(steps), steps)
 
 
 def _stretches(numbers: np.ndarray) -> tuple[tuple[int, int], ...]:

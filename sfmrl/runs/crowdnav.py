@@ -126,14 +126,14 @@ def export_weights(network: FastNetwork, path: Path) -> str:
     return write_atomically(Path(path), buffer.getvalue(), checked=False)
 
 
-def other_habits(path: Path, robot_visible: bool) -> list[str]:
+def other_habits(path: Path, robot_visible: bool, kinematics: str = "holonomic") -> list[str]:
     """Sentences on what CrowdNav's config files beside a checkpoint set otherwise than it is played here."""
     policy, world = (_read_ini(path.with_name(name)) for name in ("policy.config", "env.config"))
-    kinematics = policy.get("action_space", "kinematics", fallback="holonomic")
+    theirs = policy.get("action_space", "kinematics", fallback="holonomic")
     unseen = world.get("robot", "visible", fallback="true").lower() in ("false", "no", "off", "0")
-    moves = f"was trained for a robot whose kinematics are {kinematics}; here it moves in any direction"
+    moves = "was trained for a robot that turns; --kinematics unicycle plays it so"
     sees = "was trained among people who did not see the robot; --no-robot-visible plays it so"
-    notes = {moves: kinematics != "holonomic", sees: unseen and robot_visible}
+    notes = {moves: theirs == "unicycle" != kinematics, sees: unseen and robot_visible}
     return [f"{path} {note}" for note, holds in notes.items() if holds]
 
 

@@ -27,6 +27,7 @@ def save_demonstrations(record: Record, path: Path) -> None:
     arrays = {f"scenes.{name}": part for name, part in scenes.items() if part is not None}
     arrays |= {f"transition.{name}": getattr(record.transition, name)[record.played] for name in STORED}
     arrays |= {"position": record.position[moments], "velocity": record.velocity[moments], "steps": record.steps}
+    arrays |= {} if record.heading is None else {"heading": record.heading[moments]}
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)
     write_atomically(path, buffer.getvalue())
@@ -44,10 +45,12 @@ def load_demonstrations(path: Path, simulation: Simulation) -> Record:
             moments = np.arange(steps.max() + 1) <= steps[:, None]
             stored = {name: _spread(arrays[f"transition.{name}"], played) for name in STORED}
             position, velocity = _spread(arrays["position"], moments), _spread(arrays["velocity"], moments)
+            heading = _spread(arrays["heading"], moments) if simulation.kinematics == "unicycle" else None
         present = np.isfinite(scenes.start)[:, None] & moments[..., None, None]  # (E, T+1, N, 2)
         parts = {name: values[played] for name, values in stored.items()}
         parts["separations"] = np.minimum(parts["separations"], 0.0)  # may be +inf, to absent elements
-        if not all(np.isfinite(part).all() for part in (position[present], velocity[present], *parts.values())):
+        moved = (position[present], velocity[present], np.zeros(0) if heading is None else heading[moments])
+        if not all(np.isfinite(part).all() for part in (*moved, *parts.values())):
             raise ValueError("they are not finite")
     except Exception as error:  # damaged bytes can raise anything in NumPy
         raise DamagedFile(f"{path} does not hold demonstrations ({error}); make them again with sfmrl il") from None
@@ -55,7 +58,7 @@ def load_demonstrations(path: Path, simulation: Simulation) -> Record:
     time_step = np.where(played, simulation.time_step, np.nan)
     transition = Transition(**stored, time_step=time_step, goal_distance_before=before)
     unknown = np.full(played.shape, np.nan)  # rewards and returns
-    return Record(scenes, simulation, steps, position, velocity, transition, unknown, unknown[:, 0])
+    return Record(scenes, simulation, steps, position, velocity, transition, unknown, unknown[:, 0], heading=heading)
 
 
 def _spread(flat: np.ndarray, where: np.ndarray) -> np.ndarray:
