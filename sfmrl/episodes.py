@@ -85,9 +85,9 @@ class Record(Batch):
 
     def world_at(self, episode: np.ndarray, step: np.ndarray) -> World:
         """The worlds of episodes (S,) before steps (S,)."""
-        moved = {"position": self.position, "velocity": self.velocity}
-        moved |= {} if self.heading is None else {"heading": self.heading}
-        moved = {name: array[episode, step] for name, array in moved.items()}
+        recorded = {"position": self.position, "velocity": self.velocity}
+        recorded |= {} if self.heading is None else {"heading": self.heading}
+        moved: dict[str, Any] = {name: array[episode, step] for name, array in recorded.items()}
         return replace(reset(self.scenes, self.simulation).take(episode), steps=step, **moved)
 
     def states(self, config: Config) -> np.ndarray:

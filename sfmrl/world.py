@@ -218,9 +218,9 @@ def drive(world: World, wanted: np.ndarray) -> np.ndarray:
 
     A unicycle drives along its new heading with the part of the wanted velocity that points there, and never backwards.
     """
-    if world.heading is None:
+    if (heading := turned(world, wanted)) is None:
         return wanted
-    ahead = unit(turned(world, wanted))
+    ahead = unit(heading)
     speed = wanted[..., 0] * ahead[..., 0] + wanted[..., 1] * ahead[..., 1]
     return np.maximum(speed, 0.0)[..., None] * ahead
 
