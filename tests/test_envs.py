@@ -40,6 +40,8 @@ def scripted(observation: dict[str, np.ndarray]) -> np.ndarray:
         {},
         {"forces": True, "actions": "discrete", "environment": SOME_ABSENT},
         {"environment": "circle0", "crowd": "sfm"},
+        {"kinematics": "unicycle"},
+        {"kinematics": "unicycle", "actions": "discrete"},
     ],
 )
 def test_both_libraries_checks_pass_without_a_warning(arguments):
@@ -53,7 +55,14 @@ def test_both_libraries_checks_pass_without_a_warning(arguments):
         check_sb3(env, skip_render_check=False)
 
 
-@pytest.mark.parametrize("how", [{"reward": "sfm"}, {"reward": "crowd", "crowd": "sfm", "robot_visible": False}])
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"reward": "sfm"},
+        {"reward": "crowd", "crowd": "sfm", "robot_visible": False},
+        {"reward": "sfm", "kinematics": "unicycle"},
+    ],
+)
 def test_alone_side_by_side_and_in_play_the_rewards_are_the_same_bits(how):
     scene, numbers = {"environment": "table1", "phase": "test"}, range(12)
     scenes = sfmrl.sample_scenes(episodes=numbers, **scene)
@@ -302,3 +311,15 @@ def test_a_saved_agent_of_stable_baselines_plays_by_the_name_of_its_file(tmp_pat
     )
     done = sfmrl("eval", "ppo.py:make()", "--episodes", 3, "--json")
     assert done.returncode == 0, done.stderr
+
+
+def test_a_unicycle_drives_and_turns_as_it_is_told_and_on_the_spot():
+    env = gymnasium.make(NAME, environment="circle0", kinematics="unicycle").unwrapped
+    env.reset(options={"episode": 0})
+    heading, position = float(env.crowd.world.heading[0]), env.crowd.world.position[0, 0].copy()
+    env.step(np.array([-1.0, 1.0], dtype=np.float32))
+    assert env.crowd.world.heading[0] == pytest.approx(heading + np.pi / 4)
+    np.testing.assert_allclose(env.crowd.world.position[0, 0], position, atol=1e-8)
+    observation, *_ = env.step(np.array([0.0, -0.5], dtype=np.float32))
+    assert observation["robot"][2] == pytest.approx(np.pi / 8, abs=0.02)  # theta: heading less the angle to the goal
+    assert np.hypot(*env.crowd.world.velocity[0, 0]) == pytest.approx(0.5)

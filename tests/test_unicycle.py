@@ -1,5 +1,6 @@
 """A robot that turns: CrowdNav's own unicycle episodes, what such a robot can do, and what policies make of it."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -310,3 +311,13 @@ def test_commands_drive_a_unicycle_from_training_to_explanation(sfmrl, tmp_path)
     wrong = sfmrl("eval", "orca", "--kinematics", "unicycl")
     assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1)
     assert "did you mean unicycle" in wrong.stderr
+
+
+def test_a_comparison_plays_each_network_with_the_robot_that_it_was_trained_to_drive(sfmrl):
+    words = ("--episodes", 6, "--environment", "1", "--json", "--no-recover")
+    both = json.loads(sfmrl("compare", "sarl-sfm2", "sarl-sfm2-unicycle", *words).stdout)["policies"][1]
+    alone = json.loads(sfmrl("eval", "sarl-sfm2-unicycle", *words).stdout)
+    assert both["social"]["heading_change"] == alone["social"]["heading_change"]
+    given = sfmrl("compare", "sarl-sfm2", "sarl-sfm2-unicycle", *words, "--kinematics", "holonomic")
+    other = json.loads(given.stdout)["policies"][1]
+    assert other["social"]["heading_change"] != alone["social"]["heading_change"]

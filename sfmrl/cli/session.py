@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 from sfmrl.cli import completion, options
 from sfmrl.cli.console import err, say
 from sfmrl.cli.options import number_option, option
-from sfmrl.config import SEED, Config, ConfigError, counted, override
+from sfmrl.config import SEED, Config, ConfigError, Simulation, counted, override
 from sfmrl.runs.folders import newest_run
 from sfmrl.variants import MIXES
 
@@ -106,18 +106,19 @@ class TestOptions:
             say_habits(find_weights(name), config)
         return with_recovery(chosen, config.planner), name, config
 
-    def play(self, policies: Sequence[Any], config: Config, episodes: int) -> list[Any]:
+    def play(self, policies: Sequence[Any], config: Config, episodes: int, settings: dict[str, Any]) -> list[Any]:
         """Return the records of policies that play the same test episodes, with this config's simulation and reward."""
         from sfmrl.evaluation import evaluation_record
         from sfmrl.runs.progress import show_progress
 
         how: dict[str, Any] = {"environment": self.where(config), "episodes": episodes, "seed": self.seed}
         how |= {"people": self.humans, "people_speed": self.human_speed}
-        how |= {"simulation": config.simulation, "reward": config.reward}
+        how |= {"reward": config.reward}
         records = []
         for policy in policies:
             with show_progress(err)("test", episodes) as advance:
-                records.append(evaluation_record(policy, **how, progress=advance))
+                simulation = simulation_for(policy, config, settings)
+                records.append(evaluation_record(policy, simulation=simulation, **how, progress=advance))
         return records
 
     def title(self, config: Config, episodes: int) -> str:
@@ -145,6 +146,17 @@ class TestOptions:
             words += ["--environment", self.where(config)]
         words += ["--seed", self.seed, "--episode", episode, *as_options(self.crowd | settings)]
         return shlex.join(map(str, words + ["--trust-reward"] * self.trust_reward))
+
+
+def simulation_for(policy: Any, config: Config, settings: dict[str, Any]) -> Simulation:
+    """Return the config's simulation with the robot that the policy was trained to drive, unless --kinematics is given.
+
+    So a network for a unicycle and one for a holonomic robot can be compared in the same scenes.
+    """
+    own = getattr(policy, "config", None)
+    if own is None or "kinematics" in settings.get("simulation", {}):
+        return config.simulation
+    return replace(config.simulation, kinematics=own.simulation.kinematics)
 
 
 def code_facts(policies: list[str]) -> dict[str, Any]:

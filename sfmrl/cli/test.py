@@ -38,7 +38,7 @@ def evaluate(
 
     new_file(csv, "csv", test.overwrite)
     chosen, name, config = test.choose(policy, settings)
-    (record,) = test.play([chosen], config, episodes)
+    (record,) = test.play([chosen], config, episodes, settings)
     result, treats = metrics(record, chosen), social_metrics(record)
     save_rows([row | more for row, more in zip(episode_rows(record), social_rows(record), strict=True)], csv)
     if as_json:
@@ -79,7 +79,7 @@ def compare(
         raise ConfigError(f"compare takes two or more different policies; it got {', '.join(policies)}")
     new_file(csv, "csv", test.overwrite)
     chosen, _, (config, *_) = zip(*(test.choose(policy, settings) for policy in policies), strict=True)
-    records = test.play(chosen, config, episodes)
+    records = test.play(chosen, config, episodes, settings)
     comparison = compare_records(records, chosen, policies)
     save_rows(comparison_rows(records, policies), csv)
     if as_json:

@@ -8,7 +8,7 @@ from typing import Any
 from sfmrl.cli import options
 from sfmrl.cli.console import new_file, out, say, say_result
 from sfmrl.cli.options import command, number_option, option
-from sfmrl.cli.session import TestOptions, exclude
+from sfmrl.cli.session import TestOptions, exclude, simulation_for
 from sfmrl.config import Config, ConfigError, counted, override
 from sfmrl.runs.files import write_text
 
@@ -123,12 +123,13 @@ def _replay(
     from sfmrl.replay import Replay, make_story
 
     policies, named, (config, *_) = zip(*(test.choose(name, settings) for name in names), strict=True)
-    scene, how = test.scene(test.where(config), episode, config), (config.reward, config.simulation)
+    scene = test.scene(test.where(config), episode, config)
     if reason := why_unsolvable(scene, config.simulation.time_limit):
         say(reason)
     stories = []
     for policy in policies:
-        record = play_episodes(scene, policy, *how, discount=config.discount, keep=True)
+        simulation = simulation_for(policy, config, settings)
+        record = play_episodes(scene, policy, config.reward, simulation, discount=config.discount, keep=True)
         stories.append(make_story(record, 0, policy, config.reward, config.discount))
     labels = tuple(Path(name).name for name in named)
     differ = len(set(labels)) == len(labels)  # they do not if runs in two folders have the same name

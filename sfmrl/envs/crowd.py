@@ -11,16 +11,17 @@ from typing import Any, cast
 import numpy as np
 
 from sfmrl.config import EPISODES, SEED, Config, Reward, Simulation, in_range
-from sfmrl.geometry import direction, limit
-from sfmrl.lookahead import ACTIONS, world_states
+from sfmrl.geometry import direction, limit, unit
+from sfmrl.lookahead import ACTIONS, robot_actions, world_states
 from sfmrl.orca import Edges
 from sfmrl.rewards import OUTCOMES, RUNNING, SUCCESS, OwnReward, Transition, reward_terms, total
 from sfmrl.scenes import sample_scenes
 from sfmrl.states import ELEMENT, OWN
-from sfmrl.world import World, advance, crowd_velocities, reset, transition
+from sfmrl.world import TURN_RATE, World, advance, crowd_velocities, drive, reset, transition
 
 CONFIGS = {forces: Config(forces=forces) for forces in (False, True)}  # for the columns of the states
 AHEAD = 16  # the least number of scenes to sample together, which is faster than one by one
+STANDS = 1e-9  # share of v_pref at which a unicycle turns on the spot: a velocity of 0 would keep its heading
 FIRST = 10**9  # a seed chooses an episode's number below this
 
 
@@ -43,7 +44,9 @@ def robot_velocity(world: World, action: np.ndarray) -> np.ndarray:
     """The robots' velocities (E, 2) in m/s for the agents' actions.
 
     An action is a share of v_pref (forward, left), cut to the unit disc, (E, 2), or the index of one of SARL's 81
-    actions with heading 0 as forward, (E,) integers. Raises ValueError for other shapes and where one is not finite.
+    actions with heading 0 as forward, (E,) integers. A unicycle's is its speed, -1 for 0 to 1 for
+    v_pref, and its turn, -1 for the fastest to the right to 1 for the fastest to the left; its 81 are `robot_actions`.
+    Raises ValueError for other shapes and where one is not finite.
     """
     action, shapes = np.asarray(action), ((len(world), 2), (len(world),))
     if action.shape not in shapes:
@@ -53,16 +56,25 @@ def robot_velocity(world: World, action: np.ndarray) -> np.ndarray:
     share = ACTIONS[action] if action.ndim == 1 else limit(action.astype(float), 1.0)
     if not np.isfinite(share).all():
         raise ValueError("an action is NaN or infinite; it must be two finite numbers")
+    if world.heading is not None:
+        return robot_actions(world)[np.arange(len(world)), action] if action.ndim == 1 else _driven(world, action)
     ahead = direction(world.goal[:, 0] - world.position[:, 0])
     left = np.stack((-ahead[:, 1], ahead[:, 0]), axis=-1)
     return (share[:, :1] * ahead + share[:, 1:] * left) * world.v_pref[:, :1]
 
 
+def _driven(world: World, action: np.ndarray) -> np.ndarray:
+    """A unicycle's velocity (E, 2) in m/s for a speed and a turn; all but 0 where it turns on the spot."""
+    speed = np.clip((1.0 + action[:, 0]) / 2.0, STANDS, 1.0) * world.v_pref[:, 0]
+    turn = np.clip(action[:, 1], -1.0, 1.0) * TURN_RATE * world.simulation.time_step
+    return speed[:, None] * unit(world.heading + turn)
+
+
 class Crowd:
     """`count` episodes side by side: those of `phase` ("train", "validation" or "test"), in the order of their numbers.
 
-    `environment` is a name as for `sample_scenes`; `reward`, `crowd` and `robot_visible` are as for `play`; `forces`
-    adds the social forces to the observation. Raises ConfigError where an argument is none of these.
+    `environment` is a name as for `sample_scenes`; `reward`, `crowd`, `robot_visible` and `kinematics` are as for
+    `play`; `forces` adds the social forces to the observation. Raises ConfigError where an argument is none of these.
     """
 
     def __init__(
@@ -74,11 +86,12 @@ class Crowd:
         forces: bool = False,
         crowd: str = "orca",
         robot_visible: bool = True,
+        kinematics: str = "holonomic",
         phase: str = "train",
     ) -> None:
         self.count = int(in_range("num_envs", count, 1, EPISODES))
         self.forces = Config(forces=forces).forces
-        self.simulation = Simulation(crowd=crowd, robot_visible=robot_visible)
+        self.simulation = Simulation(crowd=crowd, robot_visible=robot_visible, kinematics=kinematics)
         self.reward = Reward(reward=reward) if isinstance(reward, str) else reward
         self.terms = reward_terms(self.reward)
         self.scene: dict[str, Any] = {"environment": environment, "phase": phase}
@@ -98,7 +111,7 @@ class Crowd:
         if self.following is None:
             raise RuntimeError("step was called before reset; call reset first")
         velocity = robot_velocity(self.world, action)
-        step = transition(self.world, velocity)
+        step = transition(self.world, drive(self.world, velocity))
         self.world = advance(self.world, crowd_velocities(self.world), velocity)
         return step, total(self.terms(step))
 
@@ -152,6 +165,7 @@ def _joined(*worlds: World) -> World:
         start, end = end, end + len(world)
         values[:, : world.edges.values.shape[1], start:end] = world.edges.values
     edges = Edges(values, np.concatenate([world.edges.origin for world in worlds]))
-    each = ("position", "velocity", "steps", "goal", "radius", "v_pref", "preferred_speed", "square", "episode")
+    each = ["position", "velocity", "steps", "goal", "radius", "v_pref", "preferred_speed", "square", "episode"]
+    each += ["heading"] if worlds[0].heading is not None else []
     joined: dict[str, Any] = {name: np.concatenate([getattr(world, name) for world in worlds]) for name in each}
     return replace(worlds[0], edges=edges, **joined)

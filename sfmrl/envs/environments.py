@@ -1,7 +1,8 @@
 """Gymnasium's two interfaces to `Crowd`: an episode at a time, and many side by side in one simulator.
 
 Success and collision terminate an episode, a time-out truncates it. Arguments of both are those of `Crowd`, and
-`actions`: "continuous" (shares of v_pref, forward and left) or "discrete" (one of SARL's 81 actions).
+`actions`: "continuous" (forward and left; for a unicycle, speed and turn: see `robot_velocity`) or "discrete" (one of
+SARL's 81 actions).
 """
 
 from typing import Any

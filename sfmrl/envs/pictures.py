@@ -43,7 +43,7 @@ def _recorded(crowd: Crowd, steps: list[tuple[World, Transition]]) -> Record:
     """The record, without rewards, of a crowd's one episode."""
     worlds = [world for world, _ in steps] + [crowd.world]
     parts = zip(*(vars(step).values() for _, step in steps), strict=True)
-    at = worlds[0]
+    at, headings = worlds[0], [world.heading for world in worlds if world.heading is not None]
     return Record(
         scenes=Scenes(at.position, at.goal, at.radius, at.v_pref, at.square, crowd.labels, at.episode),
         simulation=crowd.simulation,
@@ -53,6 +53,7 @@ def _recorded(crowd: Crowd, steps: list[tuple[World, Transition]]) -> Record:
         transition=Transition(*(np.stack(part, axis=1) for part in parts)),
         reward=np.zeros((1, len(steps))),
         discounted_return=np.zeros(1),
+        heading=np.stack(headings, axis=1) if headings else None,
     )
 
 

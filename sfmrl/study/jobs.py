@@ -6,6 +6,7 @@ the worker and back: a worker needs sfmrl, but no common file system. If a worke
 another, to the same bits if that machine computes the same (`sfmrl doctor` shows a digest).
 """
 
+import logging
 import shlex
 import shutil
 import subprocess
@@ -151,7 +152,7 @@ class RayWorkers:
             import ray
         except ImportError:
             raise ConfigError("--on ray needs Ray; install it with pip install 'sfmrl[ray]'") from None
-        ray.init(log_to_driver=False, logging_level="error", ignore_reinit_error=True)
+        ray.init(log_to_driver=False, logging_level=logging.ERROR, ignore_reinit_error=True)
         self._ray = ray
         self._sent: dict[Any, Job] = {}  # references to results, and their jobs
         self._train = ray.remote(num_cpus=1, max_retries=-1)(train_away)
