@@ -20,7 +20,7 @@ def models(
     *,
     as_json: bool = options.JSON,
 ) -> None:
-    """List the trained networks that come with sfmrl, one for each row of the paper's tables."""
+    """List the trained networks that come with sfmrl: the rows of the paper's tables, and a unicycle's."""
     from sfmrl.runs.weights import model_card, model_names
     from sfmrl.study.sheets import Sheet, card_lines, model_sheet
 
