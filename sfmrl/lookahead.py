@@ -96,6 +96,10 @@ class SarlPolicy:
         self._terms = reward_terms(config.reward)
         self._pool = ThreadPoolExecutor(threads)
 
+    def __repr__(self) -> str:
+        state = "17 columns, with forces" if self.config.forces else "13 columns"
+        return f"SarlPolicy(reward {self.config.reward.reward}, state of {state})"
+
     def __call__(self, world: World, crowd_velocity: np.ndarray) -> np.ndarray:
         return self.lookahead(world, crowd_velocity).action
 

@@ -102,6 +102,9 @@ class OwnPolicy:
                     f"policy {name} returned {kind(self.own)}; it must return a policy, {ARGUMENTS['policy']}"
                 )
 
+    def __repr__(self) -> str:
+        return f"OwnPolicy({self.__name__})"
+
     def __call__(self, world: Any, crowd_velocity: np.ndarray) -> Any:
         return guarded(f"policy {self.__name__}", "failed", self._file, lambda: self.own(world, crowd_velocity))
 

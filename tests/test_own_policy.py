@@ -135,3 +135,10 @@ def test_the_commands_play_it_and_name_the_file_that_they_ran(own, sfmrl):
         assert shown.returncode == 0, shown.stderr
     wrong = sfmrl("eval", f"{own}:fails", *words)
     assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1)
+
+
+def test_policies_are_written_in_a_line(own):
+    assert repr(load_policy(f"{own}:straight")) == f"OwnPolicy({own}:straight)"
+    alone = "SarlPolicy(reward sfm, state of 17 columns, with forces)"
+    assert repr(load_policy("sarl-sfm6")) == f"RecoveringPolicy({alone})"
+    assert repr(load_policy("sarl-sfm6").original) == alone

@@ -4,6 +4,7 @@ import hashlib
 import json
 import re
 import shutil
+import tarfile
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -303,3 +304,62 @@ def test_the_command_says_what_agrees_and_exits_with_1_when_something_does_not(s
     assert done.returncode == 1
     assert "not ok SHA256SUMS      metrics.csv is listed, but not here" in done.stdout
     assert "1 of" in done.stdout.splitlines()[-1]
+
+
+def test_several_runs_and_archives_have_a_line_each_and_copies_are_named(sfmrl, copy, tmp_path):
+    shutil.make_archive(str(tmp_path / "ada"), "gztar", copy)
+    shutil.make_archive(str(tmp_path / "bob"), "zip", copy, "rl")
+    before = sorted(tmp_path.rglob("*"))
+    done = sfmrl("verify", copy / "rl", "ada.tar.gz", "bob.zip", "--episodes", 2)
+    *agree, first, second = done.stdout.splitlines()
+    assert [line.partition(": all ")[0] for line in agree] == [
+        str(copy / "rl"),
+        "ada.tar.gz: il",
+        "ada.tar.gz: rl",
+        "bob.zip: rl",
+    ]
+    assert first == f"ada.tar.gz: rl: THE SAME WEIGHTS as {copy / 'rl'}"
+    assert second == f"bob.zip: rl: THE SAME WEIGHTS as {copy / 'rl'}"
+    assert done.returncode == 1
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_one_archive_of_one_run_is_told_in_full(sfmrl, copy, tmp_path):
+    shutil.make_archive(str(tmp_path / "il"), "tar", copy / "il")
+    done = sfmrl("verify", "il.tar", "--episodes", 2)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines()[-1].startswith("il.tar: .: all ")
+    assert "SHA256SUMS" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ("text", "neither a run folder nor an archive"),
+        ("empty", "holds no run folder"),
+        ("climbing", "neither a run folder nor an archive that can be unpacked"),
+        ("cut", "neither a run folder nor an archive"),
+        ("huge", "would unpack to 2.0 GiB"),
+    ],
+)
+def test_an_archive_that_cannot_be_used_is_one_line(sfmrl, copy, tmp_path, kind, said):
+    path = tmp_path / "archive"
+    if kind == "text":
+        path.write_text("my run")
+    elif kind == "cut":
+        whole = Path(shutil.make_archive(str(tmp_path / "whole"), "gztar", copy))
+        path.write_bytes(whole.read_bytes()[:5000])
+    else:
+        with tarfile.open(path, "w") as packed:
+            member = tarfile.TarInfo({"climbing": "../run.json"}.get(kind, "notes.txt"))
+            if kind == "huge":
+                member.size = 2**31
+                packed.fileobj.write(member.tobuf())
+                packed.fileobj.seek(2**31, 1)
+                packed.offset += 2**31 + 512
+            else:
+                packed.addfile(member)
+    done = sfmrl("verify", "archive")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert said in done.stderr
+    assert not (tmp_path.parent / "run.json").exists()

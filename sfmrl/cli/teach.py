@@ -1,6 +1,6 @@
 """The commands that look closer: `sfmrl explain`, `sfmrl verify`, `sfmrl doctor`."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from sfmrl.cli.console import WIDTH, err, new_file, out, print_table, save_rows,
 from sfmrl.cli.options import command, number_option, option
 from sfmrl.cli.session import TestOptions
 from sfmrl.config import EPISODES, STEPS
+from sfmrl.lessons import Finding
 
 
 @command(
@@ -51,7 +52,9 @@ def explain(
 
 @command("sfmrl verify runs/rl-sarl-sfm2-seed0 --episodes 500")
 def verify(
-    run: Path = typer.Argument(..., help="the run folder", show_default=False, autocompletion=completion.runs),
+    runs: list[Path] = typer.Argument(
+        ..., help="run folders, or archives of them (.zip, .tar, .tar.gz ...)", autocompletion=completion.runs
+    ),
     *,
     episodes: int = number_option(
         100, "test episodes, or demonstrations, to play again at most (default 100)", 1, EPISODES
@@ -62,23 +65,33 @@ def verify(
     trust_reward: bool = options.TRUST_REWARD,
     threads: int | None = options.THREADS,
 ) -> None:
-    """Check a run that was handed in: files against SHA256SUMS, weights by playing again.
+    """Check runs that were handed in: files against SHA256SUMS, weights by playing again.
 
-    Exit code 0 if all that could be checked agrees, else 1. Digests can be forged by recomputing them; that
+    Archives are unpacked into a temporary folder. Of several runs, each has a line, and runs with the same weights are
+    named. Exit code 0 if all that could be checked agrees, else 1. Digests can be forged by recomputing them; that
     the weights do what the test's table says cannot, but who trained them, and how, is not checked. A reward of the
     run's own is Python code, and is run only with --trust-reward: read it first.
     """
+    from sfmrl.lessons.handed_in import runs_in, same_weights
     from sfmrl.lessons.verify import verify as findings_of
     from sfmrl.lookahead import available_cores
     from sfmrl.runs.progress import show_progress
 
     how = (episodes, tolerance, threads or available_cores(), show_progress(err))
-    wrong, unknown, count = _say_findings(findings_of(run, *how, trust_reward=trust_reward))
-    aside = f"; not judged: {', '.join(unknown)}" if unknown else ""
-    if wrong:
-        say_result(f"{run}: {len(wrong)} of {count} DO NOT AGREE: {', '.join(wrong)}{aside}")
+    disagree = False
+    with runs_in(runs) as folders:
+        for name, folder in folders.items():
+            found = findings_of(folder, *how, trust_reward=trust_reward)
+            wrong, unknown, count = _sorted(_said(found) if len(folders) == 1 else found)
+            aside = f"; not judged: {', '.join(unknown)}" if unknown else ""
+            verdict = f"{len(wrong)} of {count} DO NOT AGREE: {', '.join(wrong)}" if wrong else f"all {count} agree"
+            say_result(f"{name}: {verdict}{aside}")
+            disagree |= bool(wrong)
+        for name, earlier in same_weights(folders).items():
+            say_result(f"{name}: THE SAME WEIGHTS as {earlier}")
+            disagree = True
+    if disagree:
         raise typer.Exit(1)
-    say_result(f"{run}: all {count} agree{aside}")
 
 
 @command("sfmrl doctor")
@@ -89,17 +102,23 @@ def doctor() -> None:
     """
     from sfmrl.lessons.doctor import examine
 
-    wrong, _, _ = _say_findings(examine(out))
+    wrong, _, _ = _sorted(_said(examine(out)))
     if wrong:
         say(f"not ok: {', '.join(wrong)}; see the remedy beside each")
         raise typer.Exit(1)
     say("all is well")
 
 
-def _say_findings(findings: Iterable[Any]) -> tuple[list[str], list[str], int]:
-    """Print findings as they come; return the names of those that are wrong and not judged, and the number judged."""
-    by_result: dict[bool | None, list[str]] = {True: [], False: [], None: []}
+def _said(findings: Iterable[Finding]) -> Iterator[Finding]:
+    """Print findings as they come."""
     for finding in findings:
         say_finding(finding)
+        yield finding
+
+
+def _sorted(findings: Iterable[Finding]) -> tuple[list[str], list[str], int]:
+    """The names of the findings that are wrong, and that are not judged, and the number judged."""
+    by_result: dict[bool | None, list[str]] = {True: [], False: [], None: []}
+    for finding in findings:
         by_result[finding.ok].append(finding.what)
     return by_result[False], by_result[None], len(by_result[True]) + len(by_result[False])

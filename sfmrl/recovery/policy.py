@@ -36,6 +36,9 @@ class RecoveringPolicy:
             self.policy.trap_steps = TRAP_STEPS
         self._geodesics: Geodesics | None = None
 
+    def __repr__(self) -> str:
+        return f"RecoveringPolicy({self.original!r})"
+
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):  # copy.copy() looks up dunders before __init__ has run
             raise AttributeError(name)

@@ -8,9 +8,11 @@ when they do.
 
 import hashlib
 import platform
+import subprocess
 from collections.abc import Iterator
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
@@ -23,14 +25,29 @@ STEPS, RATE = 8, 0.05  # of gradient descent
 
 def versions() -> dict[str, str]:
     """Versions of sfmrl and of all that its numbers depend on, as run.json stores them."""
+    made_of = {"commit": found} if (found := commit()) else {}
     return {
         "sfmrl": __version__,
+        **made_of,
         "python": platform.python_version(),
         "numpy": np.__version__,
         "system": platform.platform(),
         "processor": kernels(),
         "bits": machine_bits(),
     }
+
+
+@cache
+def commit() -> str | None:
+    """The commit of the checkout that sfmrl runs from, "-dirty" after it if files have changed; None outside of one."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return None
+    words = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        return subprocess.run(words, capture_output=True, text=True, timeout=10, check=False).stdout.strip() or None
+    except (OSError, subprocess.SubprocessError):
+        return None
 
 
 @cache

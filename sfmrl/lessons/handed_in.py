@@ -1,0 +1,69 @@
+"""Runs that were handed in: folders, or archives, which are unpacked into a temporary folder."""
+
+import tarfile
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sfmrl.config import ConfigError
+from sfmrl.runs.files import digest_of, regular
+from sfmrl.runs.folders import WEIGHTS
+
+LARGEST = 2**30  # bytes that an archive may unpack to: a run takes some megabytes
+
+
+@contextmanager
+def runs_in(paths: list[Path]) -> Iterator[dict[str, Path]]:
+    """The run folders at the paths by their names: folders themselves, and those in archives (.zip, .tar, .tar.gz ...).
+
+    Raises ConfigError if an archive cannot be unpacked or holds no run.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        runs = {}
+        for number, path in enumerate(paths):
+            if path.is_dir() or not path.exists():
+                runs[str(path)] = path
+                continue
+            folder = Path(name) / str(number)
+            _unpack(regular(path), folder)
+            found = sorted(folder.rglob("run.json"))
+            if not found:
+                raise ConfigError(f"{path} holds no run folder; pack one with its run.json")
+            runs |= {f"{path}: {run.parent.relative_to(folder)}": run.parent for run in found}
+        yield runs
+
+
+def same_weights(folders: dict[str, Path]) -> dict[str, str]:
+    """The name of each run that has the weights of an earlier one, and that one's name."""
+    first: dict[str, str] = {}
+    same = {}
+    for name, folder in folders.items():
+        if (folder / WEIGHTS).is_file():
+            earlier = first.setdefault(digest_of(folder / WEIGHTS), name)
+            if earlier != name:
+                same[name] = earlier
+    return same
+
+
+def _unpack(path: Path, folder: Path) -> None:
+    """Unpack an archive into an empty folder; members that would leave the folder, links and devices are refused."""
+    try:
+        if tarfile.is_tarfile(path):  # first: a tar file that holds an .npz looks like a .zip, too
+            with tarfile.open(path) as tar:
+                _check_size(path, sum(member.size for member in tar))
+                tar.extractall(folder, filter="data")
+        else:
+            with zipfile.ZipFile(path) as packed:
+                _check_size(path, sum(member.file_size for member in packed.infolist()))
+                packed.extractall(folder)
+    except (tarfile.TarError, zipfile.BadZipFile, OSError, EOFError, RuntimeError, ValueError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        raise ConfigError(f"{path} is neither a run folder nor an archive that can be unpacked: {error}") from None
+
+
+def _check_size(path: Path, size: int) -> None:
+    if size > LARGEST:
+        raise ConfigError(f"{path} would unpack to {size / 2**30:.1f} GiB; a run takes some megabytes")
