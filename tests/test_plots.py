@@ -10,7 +10,15 @@ from matplotlib.patches import Circle, Rectangle
 from sfmrl.config import ConfigError
 from sfmrl.episodes import play
 from sfmrl.scenes import sample_scenes
-from sfmrl.study.plots import ROBOT, FFMpegWriter, draw_episode, save, trajectory_figure, validation_figure
+from sfmrl.study.plots import (
+    ROBOT,
+    FFMpegWriter,
+    draw_episode,
+    save,
+    scenes_figure,
+    trajectory_figure,
+    validation_figure,
+)
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +38,17 @@ def test_paths_and_discs_are_where_everybody_was(record):
     np.testing.assert_array_equal([disc.center for disc in robots], record.position[1, seconds, 0])
     assert sum(isinstance(patch, Rectangle) for patch in axes.patches) == scenes.square[0].sum()
     assert record.outcome[1] in axes.get_title()
+
+
+def test_scenes_stand_side_by_side_with_everybody_at_the_start():
+    scenes = [sample_scenes(name, [2]) for name in "15"]
+    figure = scenes_figure(scenes)
+    for one, axes in zip(scenes, figure.axes, strict=True):
+        walkers = ~one.square[0] & ~np.isnan(one.start[0, :, 0])
+        discs = [patch.center for patch in axes.patches if isinstance(patch, Circle)]
+        np.testing.assert_array_equal(discs, one.start[0, walkers])
+        assert sum(isinstance(patch, Rectangle) for patch in axes.patches) == one.square[0].sum()
+        assert axes.get_title() == f"environment {one.environment[0]}"
 
 
 def test_a_curve_a_row_and_a_band_where_there_are_several_seeds():
@@ -73,6 +92,11 @@ def test_the_command_draws_and_films_an_episode(sfmrl, tmp_path):
     for name in ("a.pdf", "a.gif"):
         done = sfmrl("plot", "orca", "--environment", "circle5", "--out", name)
         assert (done.returncode, done.stderr) == (0, f"wrote {name}\n")
+    drawn = sfmrl("plot", "--scenes", "--out", "scenes.svg")
+    assert (drawn.returncode, drawn.stderr) == (0, "wrote scenes.svg\n")
+    assert all(f"environment {name}" in (tmp_path / "scenes.svg").read_text() for name in "12345")
+    film = sfmrl("plot", "--scenes", "--out", "scenes.gif")
+    assert (film.returncode, film.stderr.count("\n")) == (2, 1)
     again = sfmrl("plot", "orca", "--out", "a.pdf")
     assert (again.returncode, again.stderr.count("\n")) == (2, 1)
     wrong = sfmrl("plot", "orca", "--out", "a.bmp")

@@ -10,7 +10,7 @@ from sfmrl.cli import completion, options
 from sfmrl.cli.console import err, new_file, print_sheet, save_rows, say, say_json, say_result
 from sfmrl.cli.options import command, number_option, option
 from sfmrl.cli.session import TestOptions
-from sfmrl.config import ConfigError
+from sfmrl.config import Config, ConfigError, override
 from sfmrl.runs.files import write_text
 from sfmrl.variants import make_config
 
@@ -168,6 +168,7 @@ def plot(
     episode: int = options.EPISODE,
     test: TestOptions,
     settings: dict[str, Any],
+    scenes: bool = option(False, "draw a sample of each environment, and play nothing", "--scenes"),
 ) -> None:
     """Draw a test episode in metres: everybody's path with a disc each second; or film it.
 
@@ -175,9 +176,14 @@ def plot(
     """
     from sfmrl.episodes import play_episodes
 
-    _check_picture(out, test.overwrite, films=True)
-    from sfmrl.study.plots import draw_episode
+    _check_picture(out, test.overwrite, films=not scenes)
+    from sfmrl.study.plots import draw_episode, save, scenes_figure
 
+    if scenes:
+        names, config = "12345" if test.place is None else [test.place], override(Config(), settings)
+        save(scenes_figure([test.scene(name, episode, config) for name in names]), out)
+        say(f"wrote {out}")
+        return
     chosen, _, config = test.choose(policy, settings)
     scene = test.scene(test.where(config), episode, config)
     draw_episode(play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount), out)

@@ -56,6 +56,18 @@ def trajectory_figure(record: Record, episode: int = 0) -> Figure:
     return figure
 
 
+def scenes_figure(scenes: list[Scenes]) -> Figure:
+    """Scenes, each a batch of one, side by side: everybody at the start, with a thin line to the goal."""
+    figure = Figure(figsize=(3.4 * len(scenes), 3.8), layout="constrained")
+    for one, axes in zip(scenes, figure.subplots(1, len(scenes), squeeze=False)[0], strict=True):
+        _surroundings(axes, one, np.concatenate((one.start, one.goal), axis=1))
+        for row in _walkers(one):
+            axes.plot(*np.stack((one.start[0, row], one.goal[0, row]), axis=1), color=_colour(row), linewidth=0.6)
+            axes.add_patch(Circle(one.start[0, row], one.radius[0, row], color=_colour(row)))
+        axes.set_title(f"environment {one.environment[0]}", fontsize=10)
+    return figure
+
+
 def film(record: Record, episode: int = 0) -> FuncAnimation:
     """An episode, by its row, as an animation in real time."""
     figure, axes, scenes, position = _stage(record, episode)
@@ -112,6 +124,14 @@ def _stage(record: Record, episode: int) -> tuple[Figure, Axes, Scenes, np.ndarr
     one = record.take([episode])
     scenes, position = one.scenes, one.position[0, : one.steps[0] + 1]
     figure, axes = _blank(5.6, 5.6)
+    _surroundings(axes, scenes, position)
+    end = f"{one.outcome[0]} after {one.time[0]:.2f} s"
+    axes.set_title(f"environment {scenes.environment[0]}, episode {scenes.episode[0]}: {end}", fontsize=10)
+    return figure, axes, scenes, position
+
+
+def _surroundings(axes: Axes, scenes: Scenes, position: np.ndarray) -> None:
+    """Draw the squares and the robot's goal of a scene, a batch of one, in metres; `position` (..., 2) must fit in."""
     for row in np.flatnonzero(scenes.square[0]):
         half = scenes.radius[0, row]
         axes.add_patch(Rectangle(scenes.start[0, row] - half, 2 * half, 2 * half, color=SQUARE))
@@ -119,9 +139,6 @@ def _stage(record: Record, episode: int) -> tuple[Figure, Axes, Scenes, np.ndarr
     drawn = np.concatenate((position.reshape(-1, 2), scenes.goal[0, :1]))
     low, high = np.nanmin(drawn, axis=0) - 1.0, np.nanmax(drawn, axis=0) + 1.0
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x, m", ylabel="y, m")
-    end = f"{one.outcome[0]} after {one.time[0]:.2f} s"
-    axes.set_title(f"environment {scenes.environment[0]}, episode {scenes.episode[0]}: {end}", fontsize=10)
-    return figure, axes, scenes, position
 
 
 def _walkers(scenes: Scenes) -> list[int]:
