@@ -225,7 +225,7 @@ def circle_of(people: int | None = None) -> float:
 
 @dataclass(frozen=True)
 class Environment:
-    """What an episode holds besides the robot; a drawing (`sfmrl.maps.Drawing`) has the same members.
+    """The people and squares of an environment; a drawing (`sfmrl.maps.Drawing`) has the same members.
 
     label: its name in reports
     place: puts people and squares into the episodes `which` (indices) of a `Builder`

@@ -3,7 +3,7 @@
 For each row of both tables, quick preset, the seed whose validations in the second half of its training were the best
 on the mean (of several, the lowest) is taken: the test episodes have no say in it. Its weights and card go to
 sfmrl/models/; a card of the same weights stays. `unicycle RUN` makes the model of a robot that turns from its run.
-Without arguments, the networks that are there are tested anew and their cards renewed.
+Without arguments, test the shipped networks again and rewrite their cards.
 """
 
 import json

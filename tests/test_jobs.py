@@ -37,7 +37,7 @@ def rl_job(folder: Path, source: Path, *more: str) -> Job:
 
 
 class Told:
-    """A progress that counts what it is told."""
+    """A progress display that records its titles and counts."""
 
     done = total = 0
 

@@ -318,9 +318,9 @@ def test_several_runs_and_archives_have_a_line_each_and_copies_are_named(sfmrl, 
         "ada.tar.gz: rl",
         "bob.zip: rl",
     ]
-    assert first == f"ada.tar.gz: rl: THE SAME WEIGHTS as {copy / 'rl'}"
-    assert second == f"bob.zip: rl: THE SAME WEIGHTS as {copy / 'rl'}"
-    assert done.returncode == 1
+    assert first == f"ada.tar.gz: rl: the same weights as {copy / 'rl'}: a copy, or the same command and seed"
+    assert second == f"bob.zip: rl: the same weights as {copy / 'rl'}: a copy, or the same command and seed"
+    assert done.returncode == 0  # an honest run of the same command gives the same weights
     assert sorted(tmp_path.rglob("*")) == before
 
 

@@ -36,7 +36,10 @@ def runs_in(paths: list[Path]) -> Iterator[dict[str, Path]]:
 
 
 def same_weights(folders: dict[str, Path]) -> dict[str, str]:
-    """The name of each run that has the weights of an earlier one, and that one's name."""
+    """The name of each run that has the weights of an earlier one, and that one's name.
+
+    Copies have the same weights, but so have two runs of the same command, seed and version on like processors.
+    """
     first: dict[str, str] = {}
     same = {}
     for name, folder in folders.items():

@@ -1,4 +1,4 @@
-"""Versions, and the bits that this machine computes: a run's numbers depend on them besides its config.
+"""Versions, and the bits that this machine computes: a run's numbers depend on both, and on its config.
 
 Processors and libraries add numbers in different orders, so the same training can end in other last digits on another
 machine, even with the same versions. `machine_bits`, a digest of small computations, shows whether it does: compare it
