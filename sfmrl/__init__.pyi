@@ -41,8 +41,8 @@ from sfmrl.world import crowd_velocities as crowd_velocities
 from sfmrl.world import transition as transition
 from sfmrl.world import drive as drive
 from sfmrl.world import advance as advance
-from sfmrl.lookahead import ACTIONS as ACTIONS
-from sfmrl.lookahead import robot_actions as robot_actions
+from sfmrl.actions import ACTIONS as ACTIONS
+from sfmrl.actions import robot_actions as robot_actions
 from sfmrl.lookahead import SarlPolicy as SarlPolicy
 from sfmrl.recovery import RecoveringPolicy as RecoveringPolicy
 from sfmrl.recovery import Geodesics as Geodesics

@@ -12,10 +12,11 @@ from typing import Any, cast
 
 import numpy as np
 
+from sfmrl.actions import Notes, Policy, explained
 from sfmrl.batch import Batch
 from sfmrl.config import Config, ConfigError, Reward, Simulation, counted
 from sfmrl.geometry import length
-from sfmrl.lookahead import Notes, Policy, explained, step_discount
+from sfmrl.lookahead import step_discount
 from sfmrl.own_code import checked_array, kind, name_of, read_only
 from sfmrl.policies import find_policy
 from sfmrl.rewards import OUTCOMES, RUNNING, OwnReward, Terms, Transition, reward_terms, total

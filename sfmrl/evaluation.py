@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from sfmrl.actions import Policy
 from sfmrl.config import EPISODES, Config, Reward, Simulation, in_range
 from sfmrl.episodes import Record, play_episodes
-from sfmrl.lookahead import Policy
 from sfmrl.policies import find_policy
 from sfmrl.rewards import OwnReward
 from sfmrl.scenes import sample_scenes

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from sfmrl.actions import ACTIONS, robot_actions
 from sfmrl.config import Config, Reinforcement
 from sfmrl.episodes import Record, play_episodes, returns_of
 from sfmrl.learning import Learner
-from sfmrl.lookahead import ACTIONS, SarlPolicy, robot_actions, step_discount
+from sfmrl.lookahead import SarlPolicy, step_discount
 from sfmrl.scenes import generator, sample_scenes, thinned
 from sfmrl.world import World
 

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from sfmrl.actions import Policy
 from sfmrl.config import ConfigError
 from sfmrl.geometry import direction
-from sfmrl.lookahead import Policy, SarlPolicy, available_cores
+from sfmrl.lookahead import SarlPolicy, available_cores
 from sfmrl.own_code import OwnPolicy, kind, names_code, trusted
 from sfmrl.world import World, orca_crowd, sfm_crowd
 

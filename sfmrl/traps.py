@@ -22,7 +22,7 @@ from sfmrl.geometry import length
 from sfmrl.rewards import COLLISION, RUNNING
 from sfmrl.world import World, advance, crowd_velocities, onward, transition
 
-# Of the 81 actions (`lookahead.ACTIONS`: stop, then five speeds for each heading), those that are tried in sequences:
+# Of the 81 actions (`actions.ACTIONS`: stop, then five speeds for each heading), those that are tried in sequences:
 # stop, and all headings at full speed and at 0.48 of it.
 OUTLOOK = np.flatnonzero(np.isin(np.arange(81) % 5, (0, 3)))
 ROUNDING = 1e-9  # m, more than the error of a distance

@@ -20,6 +20,7 @@ import torch
 from rich.console import Console
 
 from sfmrl import episodes
+from sfmrl.actions import ACTIONS
 from sfmrl.config import Config, Reward, Simulation
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.evaluation import evaluation_record
@@ -27,7 +28,7 @@ from sfmrl.exploration import remember
 from sfmrl.fast import as_fast, kernels
 from sfmrl.imitation import Fit, demonstrate, fill_memory, fit_memory, make_memory
 from sfmrl.learning import OPTIMIZERS, Learner, learn
-from sfmrl.lookahead import ACTIONS, SarlPolicy, available_cores
+from sfmrl.lookahead import SarlPolicy, available_cores
 from sfmrl.network import ValueNetwork
 from sfmrl.placement import BARRIER
 from sfmrl.policies import orca_policy

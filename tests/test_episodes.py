@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sfmrl.actions import ACTIONS
 from sfmrl.config import Config, ConfigError, Reward, Simulation
 from sfmrl.episodes import Record, play, play_episodes, returns_of
-from sfmrl.lookahead import ACTIONS, SarlPolicy
+from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import load_policy
 from sfmrl.scenes import Scenes, sample_scenes

@@ -19,7 +19,7 @@ import sfmrl
 # The core, in reading order: a file imports only those above it, and orca/ and fast/.
 CORE = (
     *("config", "variants", "geometry", "batch", "own_code", "sfm", "rewards", "placement", "scenes"),
-    *("world", "states", "network", "traps", "lookahead", "policies", "episodes", "evaluation", "learning"),
+    *("world", "actions", "states", "network", "traps", "lookahead", "policies", "episodes", "evaluation", "learning"),
     *("exploration", "imitation", "reinforcement"),
 )
 # The wings: a folder imports the core and the wings before it.

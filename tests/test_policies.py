@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from conftest import DATA
 
+from sfmrl.actions import ACTIONS
 from sfmrl.config import Config
 from sfmrl.episodes import play
-from sfmrl.lookahead import ACTIONS, SarlPolicy
+from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.rewards import COLLISION
 from sfmrl.scenes import Scenes

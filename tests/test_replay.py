@@ -11,9 +11,10 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
+from sfmrl.actions import ACTIONS
 from sfmrl.config import Reward, Simulation
 from sfmrl.episodes import Record, play, play_episodes
-from sfmrl.lookahead import ACTIONS, SarlPolicy
+from sfmrl.lookahead import SarlPolicy
 from sfmrl.policies import linear_policy, orca_policy
 from sfmrl.replay.canvas import Canvas, View, fit_view
 from sfmrl.replay.frames import (

@@ -5,8 +5,8 @@ from itertools import product
 import numpy as np
 from test_policies import crowded
 
+from sfmrl.actions import ACTIONS
 from sfmrl.config import Simulation
-from sfmrl.lookahead import ACTIONS
 from sfmrl.rewards import COLLISION, RUNNING
 from sfmrl.scenes import Scenes, sample_scenes
 from sfmrl.traps import OUTLOOK, best_untrapped, trapped

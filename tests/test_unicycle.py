@@ -9,6 +9,7 @@ from conftest import DATA
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sfmrl.actions import robot_actions
 from sfmrl.config import Config, Planner, Simulation
 from sfmrl.episodes import Record, play
 from sfmrl.evaluation import evaluation_record
@@ -16,7 +17,7 @@ from sfmrl.geometry import length, wrapped
 from sfmrl.learning import Memory
 from sfmrl.lessons.explain import explain_episode
 from sfmrl.lessons.tables import explanation_parts
-from sfmrl.lookahead import SarlPolicy, robot_actions, world_states
+from sfmrl.lookahead import SarlPolicy, world_states
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import load_policy
 from sfmrl.recovery import RecoveringPolicy

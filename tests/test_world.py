@@ -9,10 +9,10 @@ from conftest import DATA
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sfmrl.actions import ACTIONS
 from sfmrl.config import Reward, Simulation
 from sfmrl.episodes import Record, play, play_episodes
 from sfmrl.geometry import length
-from sfmrl.lookahead import ACTIONS
 from sfmrl.policies import orca_policy
 from sfmrl.rewards import COLLISION, OUTCOMES, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenes import Scenes, sample_scenes

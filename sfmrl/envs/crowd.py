@@ -10,9 +10,10 @@ from typing import Any, cast
 
 import numpy as np
 
+from sfmrl.actions import ACTIONS, robot_actions
 from sfmrl.config import EPISODES, SEED, Config, Reward, Simulation, in_range
 from sfmrl.geometry import direction, limit, unit
-from sfmrl.lookahead import ACTIONS, robot_actions, world_states
+from sfmrl.lookahead import world_states
 from sfmrl.orca import Edges
 from sfmrl.rewards import OUTCOMES, RUNNING, SUCCESS, OwnReward, Transition, reward_terms, total
 from sfmrl.scenes import sample_scenes

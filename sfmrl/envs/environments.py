@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from sfmrl.actions import ACTIONS
 from sfmrl.config import ConfigError, suggest
 from sfmrl.envs.crowd import Crowd, observe
 from sfmrl.envs.pictures import as_image, as_text
-from sfmrl.lookahead import ACTIONS
 from sfmrl.rewards import RUNNING, TIMEOUT, Transition
 from sfmrl.world import World
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from sfmrl.actions import ACTIONS, Notes, Policy, explained, robot_actions
 from sfmrl.config import Planner, Simulation
 from sfmrl.geometry import closest_approach, wrapped
-from sfmrl.lookahead import ACTIONS, Notes, Policy, explained, robot_actions
 from sfmrl.recovery.planner import Geodesics, plan
 from sfmrl.rewards import COLLISION, SUCCESS
 from sfmrl.scenes import Scenes

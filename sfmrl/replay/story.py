@@ -11,9 +11,10 @@ from typing import cast
 
 import numpy as np
 
+from sfmrl.actions import Policy
 from sfmrl.config import Reward
 from sfmrl.episodes import Record
-from sfmrl.lookahead import Lookahead, Policy, SarlPolicy, step_discount
+from sfmrl.lookahead import Lookahead, SarlPolicy, step_discount
 from sfmrl.rewards import RUNNING, reward_terms, total
 from sfmrl.sfm import repulsive_forces
 from sfmrl.world import World

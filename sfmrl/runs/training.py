@@ -6,13 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from sfmrl.actions import Policy
 from sfmrl.config import Config, Reinforcement
 from sfmrl.episodes import Record
 from sfmrl.evaluation import episode_rows, evaluation_record, metrics
 from sfmrl.fast import FastNetwork
 from sfmrl.imitation import Fit, demonstrate, fill_memory, fit_memory, make_memory
 from sfmrl.learning import Learner, Memory
-from sfmrl.lookahead import Policy, SarlPolicy
+from sfmrl.lookahead import SarlPolicy
 from sfmrl.recovery import with_recovery
 from sfmrl.recovery.remembering import RememberingPolicy
 from sfmrl.reinforcement import reinforce

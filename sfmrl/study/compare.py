@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from sfmrl.actions import Policy
 from sfmrl.config import ConfigError, counted
 from sfmrl.episodes import Record
 from sfmrl.evaluation import RATES, episode_rows, metrics
-from sfmrl.lookahead import Policy
 from sfmrl.study.sheets import Sheet, estimate, p_value, rate, rate_interval, seconds
 from sfmrl.study.social import SOCIAL_METRICS, social_metrics, social_values
 from sfmrl.study.statistics import holm, mean_difference, success_difference
