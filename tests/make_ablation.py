@@ -14,9 +14,10 @@ import numpy as np
 from rich.console import Console
 
 from sfmrl.config import json_object
+from sfmrl.lookahead import available_cores
 from sfmrl.runs.files import csv_text, read_listed
-from sfmrl.runs.progress import StopSignal, show_progress
-from sfmrl.study.jobs import Job, Processes, run_jobs
+from sfmrl.runs.progress import Interrupted, StopSignal, show_progress
+from sfmrl.study.jobs import Failed, Job, Processes, run_jobs
 from sfmrl.study.sheets import Sheet, estimate, number, rate, seconds
 from sfmrl.study.statistics import mean_difference
 from sfmrl.study.tables import make_jobs, parse_seeds
@@ -58,7 +59,8 @@ def ablation_lines(folder: Path, seeds: list[int]) -> list[dict]:
     for ingredient, (name, *options) in INGREDIENTS.items():
         for seed in seeds:
             result = json_object(read_listed(trainings(folder, seed, name, *options)[1].folder / "result.json"))
-            line = {"switched off": ingredient, "options": " ".join(filter(None, options)), "seed": seed}
+            given = [f"{command} {o}".strip() for command, o in zip(("", "il", "rl"), options, strict=True) if o]
+            line = {"switched off": ingredient, "options": ", ".join(given), "seed": seed}
             lines.append(line | {figure: result[figure] for figure in FIGURES})
     return lines
 
@@ -95,8 +97,13 @@ def ablation_markdown(lines: list[dict]) -> str:
 if __name__ == "__main__":
     folder, seeds = Path(sys.argv[1]), parse_seeds(sys.argv[2] if len(sys.argv) > 2 else "0-4")
     jobs = {job.folder: job for s in seeds for what in INGREDIENTS.values() for job in trainings(folder, s, *what)}
-    with StopSignal(print) as stop:
-        run_jobs(list(jobs.values()), Processes(2), show_progress(Console(stderr=True)), stop, print)
+    try:
+        with StopSignal(print) as stop:
+            run_jobs(
+                list(jobs.values()), Processes(available_cores()), show_progress(Console(stderr=True)), stop, print
+            )
+    except (Interrupted, Failed) as error:
+        sys.exit(f"make_ablation: {error or 'stopped'}; the same command goes on")
     lines = ablation_lines(folder, seeds)
     CSV.write_text(csv_text(lines))
     CSV.with_suffix(".md").write_text(ablation_markdown(lines))

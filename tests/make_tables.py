@@ -7,7 +7,11 @@ import csv
 from pathlib import Path
 from types import SimpleNamespace
 
+import make_ablation
+import make_crowds
 import numpy as np
+from make_ablation import ablation_markdown
+from make_crowds import crowds_markdown
 
 from sfmrl.runs.files import csv_text
 from sfmrl.study.plots import save, validation_figure
@@ -66,7 +70,12 @@ def figure_lines(preset: str) -> list[dict]:
 def texts() -> dict[Path, str]:
     """All Markdown and CSV files of the folder."""
     made = table_texts(1, "quick") | table_texts(1, "paper") | table_texts(2, "quick")
-    return made | {FOLDER / f"figure1-{p}.csv": csv_text(figure_lines(p)) for p in ("quick", "paper")}
+    made |= {FOLDER / f"figure1-{p}.csv": csv_text(figure_lines(p)) for p in ("quick", "paper")}
+    for path, markdown in ((make_ablation.CSV, ablation_markdown), (make_crowds.CSV, crowds_markdown)):
+        if path.exists():
+            lines = read_csv(path)
+            made |= {path: csv_text(lines), path.with_suffix(".md"): markdown(lines)}
+    return made
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import re
 import shlex
 from pathlib import Path
 
+import make_ablation
 import make_tables
 import numpy as np
 import pytest
@@ -341,3 +342,22 @@ def test_wrong_use_is_one_line(sfmrl, words, said):
     assert done.returncode == 2
     assert said in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+def test_the_ablation_changes_one_thing_at_a_time_and_pairs_seeds(tmp_path):
+    (il, rl), *others = (make_ablation.trainings(tmp_path, 3, *what) for what in make_ablation.INGREDIENTS.values())
+    assert rl == make_jobs(1, "quick", [3], ["sarl-sfm2"], tmp_path)[1]
+    options = list(make_ablation.INGREDIENTS.values())[1:]
+    for (name, both, il_options, rl_options), (its_il, its_rl) in zip(options, others, strict=True):
+        assert its_rl.folder.name == f"{name}-seed3"
+        assert its_rl.needs == its_il.folder
+        assert " ".join(its_rl.words).endswith(f"{both}{rl_options}")
+        assert (its_il == il) == (not both and not il_options)
+    lines = [
+        {"switched off": what, "options": "--x", "seed": seed, **dict.fromkeys(make_ablation.FIGURES, value)}
+        for what, values in (("nothing", (0.9, 0.8, 0.7)), ("this", (0.8, 0.8, 0.6)))
+        for seed, value in enumerate(values)
+    ]
+    low, high = scipy.stats.t.interval(0.95, 2, -0.2 / 3, scipy.stats.sem([-0.1, 0, -0.1]))
+    change = f"-.067 ({rate(low)} to {rate(high)})"
+    assert f"| this | `--x` | {change} | {change} |" in make_ablation.ablation_markdown(lines)

@@ -34,6 +34,7 @@ CONTRASTED = {
     "success": "success",
     "start_success": "validation after imitation",
     "early_success": "validation, first quarter",
+    "course_success": "validation, whole training",
     "early_training_success": "training, first quarter",
     "drops": "drop between validations",
     "reached_episodes": "episodes until validation 0.9",

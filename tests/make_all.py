@@ -1,0 +1,54 @@
+"""Train and test everything that the project reports: `python tests/make_all.py FOLDER`.
+
+It takes days of two cores, and can be stopped: the same command goes on. What is finished stays in FOLDER; begin with
+an empty one after a change of the recipe. Figures go to tutorials/results/, networks to sfmrl/models/, output to the
+pages. Read what has changed (git diff), and correct the text around it, also in README.md, tutorials/results.md and
+tutorials/tables.md.
+"""
+
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+RUN = [sys.executable, "-m", "sfmrl"]
+COMMANDS = """
+sfmrl table 1 --folder FOLDER --csv RESULTS/table1-quick.csv --overwrite
+sfmrl figure 1 --folder FOLDER --csv RESULTS/figure1-quick.csv --overwrite
+sfmrl table 2 --folder FOLDER --csv RESULTS/table2-quick.csv --overwrite
+sfmrl il --kinematics unicycle --run FOLDER/turning-il --continue
+sfmrl rl --kinematics unicycle --reward sfm --from FOLDER/turning-il --run FOLDER/turning --continue
+python TESTS/make_models.py FOLDER 0-9
+python TESTS/make_models.py unicycle FOLDER/turning
+python TESTS/make_ablation.py FOLDER 0-4
+python TESTS/make_crowds.py
+sfmrl table 1 CLAIM --episodes 3000 --validation-interval 500 --csv RESULTS/table1-early.csv --overwrite
+sfmrl figure 1 CLAIM --csv RESULTS/figure1-early.csv --overwrite
+python TESTS/make_tables.py
+python TESTS/make_pages.py
+"""
+# The rows and seeds that tell what holds of the paper's claims on early training, under its own schedule.
+CLAIM = "--preset paper --rows sarl,sarl-sfm2,sarl-sfm5,sarl-sfm6 --seeds 0-4 --folder FOLDER/paper"
+
+
+def main(folder: str) -> None:
+    """Run all commands in turn, until one fails."""
+    here = Path(__file__).parent
+    places = {
+        "CLAIM": CLAIM,
+        "FOLDER": folder,
+        "RESULTS": str(here.parent / "tutorials" / "results"),
+        "TESTS": str(here),
+    }
+    for command in COMMANDS.strip().splitlines():
+        for name, place in places.items():
+            command = command.replace(name, place)
+        print(command, flush=True)
+        program, *words = shlex.split(command)
+        code = subprocess.run([*(RUN if program == "sfmrl" else [sys.executable]), *words], check=False).returncode
+        if code:
+            sys.exit(f"make_all: this command ended with {code}; go on with python tests/make_all.py {folder}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
