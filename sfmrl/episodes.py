@@ -107,9 +107,9 @@ def play(
     policy: str | Policy,
     *,
     reward: str | Reward | OwnReward = "crowd",
-    robot_visible: bool = True,
-    safety_space: float = 0.0,
-    crowd: str = "orca",
+    robot_visible: bool | None = None,
+    safety_space: float | None = None,
+    crowd: str | None = None,
     kinematics: str | None = None,
     discount: float = 0.9,
 ) -> Record:
@@ -122,19 +122,19 @@ def play(
     `reward` is "crowd", "sfm", "sfm-discount", "file.py:function", a `Reward` with its numbers, or a function that is
     given a `Transition` and `Reward()` and returns an array, one number for each transition. `safety_space` (m) is
     added to every radius if ORCA drives the robot; `crowd` is "orca" or "sfm"; `discount` is per second at 1 m/s. If
-    `kinematics` is "unicycle", the robot turns at most pi rad/s and drives ahead, whatever velocity the policy returns;
-    by default it is that of the policy's training, else "holonomic".
+    `kinematics` is "unicycle", the robot turns at most pi rad/s and drives ahead, whatever velocity the policy returns.
+    Where these and `robot_visible` are None, they are those of the policy's training, as are the simulation's other
+    settings (time step and limit, squares, ORCA's numbers); for a policy that was not trained, those of `Simulation()`.
 
     Raises ConfigError if an argument is none of these, and if a policy or reward returns anything else.
     """
     if not isinstance(scenes, Scenes):
         raise ConfigError(f"scenes is {kind(scenes)}; it takes Scenes, as sample_scenes('circle5', 100) makes them")
     chosen = find_policy(policy, reward)
-    if kinematics is None:
-        kinematics = getattr(chosen, "config", Config()).simulation.kinematics
-    simulation = Simulation(crowd=crowd, kinematics=kinematics, robot_visible=robot_visible, safety_space=safety_space)
-    discount = Config(discount=discount).discount  # checks its range
-    return play_episodes(scenes, chosen, reward, simulation, discount=discount)
+    own: Simulation = getattr(chosen, "config", Config()).simulation
+    given = {"robot_visible": robot_visible, "safety_space": safety_space, "crowd": crowd, "kinematics": kinematics}
+    simulation = replace(own, **cast(Any, {name: value for name, value in given.items() if value is not None}))
+    return play_episodes(scenes, chosen, reward, simulation, discount=Config(discount=discount).discount)  # in range
 
 
 def play_episodes(

@@ -40,6 +40,7 @@ def evaluation_record(
     seed: int = 0,
     reward: str | Reward | OwnReward | None = None,
     simulation: Simulation | None = None,
+    discount: float | None = None,
     phase: str = "test",
     people: int | None = None,
     people_speed: float | None = None,
@@ -47,9 +48,10 @@ def evaluation_record(
 ) -> Record:
     """Play test episodes with a policy; `people` and `people_speed` as in `sample_scenes`.
 
-    `environment`, `simulation` and `reward` (for the total reward) default to those of the policy's training or, for a
-    policy that was not trained, to table 1's mix and CrowdNav's. `progress` is called with the number of episodes that
-    have just ended. Raises ConfigError on unknown names and on less than one episode.
+    `environment`, `simulation`, `reward` and `discount` (the last two for the total reward) default to those of the
+    policy's training or, for a policy that was not trained, to table 1's mix and CrowdNav's. `progress` is called with
+    the number of episodes that have just ended. Raises ConfigError on unknown names, on less than one episode and on a
+    discount out of range.
     """
     in_range("episodes", episodes, 1, EPISODES)
     chosen = find_policy(policy, reward)
@@ -57,10 +59,11 @@ def evaluation_record(
     settings = own.reward if reward is None else reward
     environment = own.reinforcement.test_environment if environment is None else environment
     simulation = own.simulation if simulation is None else simulation
+    discount = own.discount if discount is None else Config(discount=discount).discount  # checks its range
     crowd: dict[str, Any] = {"people": people, "people_speed": people_speed}
     crowd["random_attributes"] = simulation.random_attributes
     scenes = sample_scenes(environment, episodes, seed, phase=phase, **crowd)
-    return play_episodes(scenes, chosen, settings, simulation, discount=own.discount, progress=progress)
+    return play_episodes(scenes, chosen, settings, simulation, discount=discount, progress=progress)
 
 
 def metrics(record: Record, policy: Policy | None = None) -> Metrics:

@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from sfmrl.config import ConfigError
+from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import evaluation_record
+from sfmrl.fast import as_fast
+from sfmrl.network import ValueNetwork
 from sfmrl.policies import POLICIES
+from sfmrl.runs.weights import save_weights
 from sfmrl.study.compare import compare, comparison_sheets, social_sheet
 from sfmrl.study.social import SOCIAL_METRICS, social_metrics, social_values
 
@@ -100,6 +103,17 @@ def test_the_command(sfmrl, tmp_path):
     found = json.loads(sfmrl(*words, "--json").stdout)
     wins = [line["outcome"] == "success" for line in lines]
     assert found["policies"][0]["success"] == sum(wins[:20]) / 20
+
+
+def test_all_total_rewards_have_the_first_policy_s_discount(sfmrl, tmp_path):
+    network, words = ValueNetwork(value_prior=True), ("--environment", "circle0", "--episodes", 2)
+    for discount in (0.9, 0.8):
+        save_weights(as_fast(network), Config(value_prior=True, discount=discount), tmp_path / f"{discount}.npz")
+    alone = json.loads(sfmrl("eval", "0.8.npz", *words, "--json").stdout)["total_reward"]
+    both = json.loads(sfmrl("compare", "0.8.npz", "linear", "0.9.npz", *words, "--json").stdout)["policies"]
+    assert both[0]["total_reward"] == alone
+    linear = evaluation_record("linear", environment="circle0", episodes=2, discount=0.8)
+    assert both[1]["total_reward"] == linear.discounted_return.mean()
 
 
 @pytest.mark.parametrize(

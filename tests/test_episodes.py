@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -192,6 +193,16 @@ def test_progress_hears_of_every_episode():
 def test_no_episodes_at_all_make_an_empty_record(policy):
     record = play(sample_scenes("1", 0), policy)
     assert record.outcome.shape == record.steps.shape == record.discounted_return.shape == (0,)
+
+
+def test_a_trained_policy_plays_in_the_simulation_of_its_training_but_for_what_is_named():
+    trained = Simulation(squares="disc", time_step=0.5, time_limit=3.0, crowd="sfm", robot_visible=False)
+    policy, scenes = SarlPolicy(ValueNetwork(), Config(simulation=trained)), sample_scenes("2", 2)
+    assert play(scenes, policy).simulation == trained
+    named = play(scenes, policy, robot_visible=True, safety_space=0.1, crowd="orca", kinematics="unicycle").simulation
+    others = {"robot_visible": True, "safety_space": 0.1, "crowd": "orca", "kinematics": "unicycle"}
+    assert named == replace(trained, **others)
+    assert play(scenes, "linear").simulation == Simulation()
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from sfmrl.config import Reward, Simulation
+from sfmrl.config import ConfigError, Reward, Simulation
 from sfmrl.episodes import Record
 from sfmrl.evaluation import episode_rows, evaluate, evaluation_record, metrics, wilson
 from sfmrl.lookahead import SarlPolicy
@@ -122,6 +122,15 @@ def test_the_reward_asked_for_is_the_total_reward_s():
     np.testing.assert_array_equal(record.steps, again.steps)
     assert dense["total_reward"] != sparse["total_reward"]
     assert evaluate("orca", environment="1", episodes=10, reward="sfm") == dense
+
+
+def test_the_discount_asked_for_is_the_total_reward_s():
+    discounts = {"own": None, "asked": 0.0}
+    found = {k: evaluation_record("linear", environment="circle0", episodes=2, discount=d) for k, d in discounts.items()}
+    assert (found["own"].discounted_return > 0).all()
+    assert (found["asked"].discounted_return == 0).all()  # that of the first step alone, which is not the last
+    with pytest.raises(ConfigError, match="discount is 2; it must be"):
+        evaluation_record("linear", episodes=1, discount=2)
 
 
 def test_orca_does_as_the_project_s_reading_says():

@@ -107,13 +107,16 @@ class TestOptions:
         return with_recovery(chosen, config.planner), name, config
 
     def play(self, policies: Sequence[Any], config: Config, episodes: int, settings: dict[str, Any]) -> list[Any]:
-        """Return the records of policies that play the same test episodes, with this config's simulation and reward."""
+        """Return the records of policies that play the same test episodes.
+
+        Simulation, reward and discount are this config's.
+        """
         from sfmrl.evaluation import evaluation_record
         from sfmrl.runs.progress import show_progress
 
         how: dict[str, Any] = {"environment": self.where(config), "episodes": episodes, "seed": self.seed}
         how |= {"people": self.humans, "people_speed": self.human_speed}
-        how |= {"reward": config.reward}
+        how |= {"reward": config.reward, "discount": config.discount}
         records = []
         for policy in policies:
             with show_progress(err)("test", episodes) as advance:
