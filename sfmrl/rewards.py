@@ -64,7 +64,8 @@ def crowd_terms(transition: Transition, p: Reward) -> Terms:
     The slope of the discomfort is for a step of 0.25 s.
     """
     end, close = _cases(transition, p)
-    discomfort = p.discomfort_slope * (transition.separation - p.discomfort_distance) * (transition.time_step / 0.25)
+    gap = np.minimum(transition.separation, p.discomfort_distance)  # a slope of 0 times +inf would be NaN
+    discomfort = p.discomfort_slope * (gap - p.discomfort_distance) * (transition.time_step / 0.25)
     return {
         "collision": np.where(end == COLLISION, p.collision, 0.0),
         "goal": np.where(end == SUCCESS, p.success, 0.0),

@@ -127,6 +127,12 @@ def test_discomfort_counts_by_the_time_it_lasts(dt):
     assert dt != 0.25 or found == 0.125 * (0.1 - 0.2)
 
 
+def test_a_discomfort_of_slope_0_is_0_also_where_nobody_is_around():
+    with np.errstate(all="raise"):
+        record = play(sample_scenes("circle0", 1), "linear", reward=Reward(discomfort_slope=0.0))
+    assert record.reward[0].tolist() == [0.0] * (record.steps[0] - 1) + [1.0]
+
+
 @pytest.mark.parametrize(("time", "cost"), [(9.75, 0.0), (10.0, 0.0), (10.25, 0.005), (20.0, 0.2)])
 def test_arriving_late_costs_from_ten_seconds_on(time, cost):
     assert total(reward_terms(Reward(reward="sfm-discount"))(one_transition(SUCCESS, time=time))) == 1.0 - cost
