@@ -1,4 +1,4 @@
-"""The paper's variants and the presets, as data: what each changes in the plain config, which is the paper's SARL."""
+"""The paper's variants and the presets, as data: what each changes in `Config()`, the paper's SARL, squares solid."""
 
 from typing import Any
 

@@ -37,8 +37,9 @@ def save_weights(network: FastNetwork, config: Config, path: Path) -> str:
 def load_weights(path: Path) -> tuple[FastNetwork, Config]:
     """Load the network and config of a weights file, or of a CrowdNav SARL checkpoint.
 
-    A checkpoint gets a config with CrowdNav's reward and the paper's preset. Raises DamagedFile if the file differs
-    from its digest in the folder's SHA256SUMS or model card, ConfigError if it holds no such network.
+    A checkpoint gets `Config(preset="paper")`: CrowdNav's reward, but solid squares, where `make_config("paper")` has
+    discs. Raises DamagedFile if the file differs from its digest in the folder's SHA256SUMS or model card, ConfigError
+    if it holds no such network.
     """
     path = Path(path)
     content = _content(_read(path), path)
