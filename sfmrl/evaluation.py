@@ -71,14 +71,15 @@ def metrics(record: Record, policy: Policy | None = None) -> Metrics:
 
     `success`, `collision`, `timeout` are rates, each with its 95 % Wilson interval under `intervals`;
     `navigation_time` is the mean time of the successes in s (None without any); `total_reward` the mean discounted
-    return. `failures` lists the episodes without success, and whether their squares leave a path to the goal. If
-    `policy` has recovery and has just played the record, `recovered` is the rate of episodes in which it was stuck.
+    return. `failures` lists the episodes without success, and whether their squares leave a path to the goal, around
+    their outlines. If `policy` has recovery and has just played the record, `recovered` is the rate of episodes in
+    which it was stuck. Of a record without episodes, rates and means are None, and intervals from 0 to 1.
     """
     from sfmrl.recovery import RecoveringPolicy, solvable
 
     result = Metrics(_summary(record))
     if isinstance(policy, RecoveringPolicy):
-        result["recovered"] = float(policy.helped.mean())
+        result["recovered"] = _mean(policy.helped)
     names = np.unique(record.scenes.environment)
     if len(names) > 1:
         result["environments"] = {str(n): _summary(record.take(record.scenes.environment == n)) for n in names}
@@ -121,11 +122,16 @@ def _summary(record: Record) -> dict[str, Any]:
     succeeded = outcome == "success"
     return {
         "episodes": episodes,
-        **{name: counts[name] / episodes for name in RATES},
-        "navigation_time": float(record.time[succeeded].mean()) if succeeded.any() else None,
-        "total_reward": float(record.discounted_return.mean()),
+        **{name: counts[name] / episodes if episodes else None for name in RATES},
+        "navigation_time": _mean(record.time[succeeded]),
+        "total_reward": _mean(record.discounted_return),
         "intervals": {name: list(wilson(counts[name], episodes)) for name in RATES},
     }
+
+
+def _mean(values: np.ndarray) -> float | None:
+    """The mean of values (E,); None without any."""
+    return float(values.mean()) if len(values) else None
 
 
 def wilson(successes: int, trials: int, z: float = Z) -> tuple[float, float]:

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest
 
 from sfmrl.config import ConfigError, Reward, Simulation
-from sfmrl.episodes import Record
-from sfmrl.evaluation import episode_rows, evaluate, evaluation_record, metrics, wilson
+from sfmrl.episodes import Record, play
+from sfmrl.evaluation import RATES, episode_rows, evaluate, evaluation_record, metrics, wilson
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.runs.files import csv_text
-from sfmrl.scenes import Scenes
+from sfmrl.scenes import Scenes, sample_scenes
 from sfmrl.variants import make_config
 
 
@@ -68,6 +68,14 @@ def test_metrics_of_a_record_made_by_hand():
 
 def test_without_a_success_there_is_no_navigation_time():
     assert metrics(hand_made_record().take(np.array([2, 3])))["navigation_time"] is None
+
+
+def test_a_record_without_episodes_has_counts_of_0_and_neither_rates_nor_means():
+    for empty in (hand_made_record().take([]), play(sample_scenes("1", 0), "linear")):
+        result = metrics(empty)
+        assert (result["episodes"], result["failures"], episode_rows(empty)) == (0, [], [])
+        assert all(result[name] is None for name in (*RATES, "navigation_time", "total_reward"))
+        assert result["intervals"]["success"] == [0.0, 1.0]
 
 
 def test_rows_for_a_csv_file():
@@ -125,10 +133,9 @@ def test_the_reward_asked_for_is_the_total_reward_s():
 
 
 def test_the_discount_asked_for_is_the_total_reward_s():
-    discounts = {"own": None, "asked": 0.0}
-    found = {k: evaluation_record("linear", environment="circle0", episodes=2, discount=d) for k, d in discounts.items()}
-    assert (found["own"].discounted_return > 0).all()
-    assert (found["asked"].discounted_return == 0).all()  # that of the first step alone, which is not the last
+    assert (evaluation_record("linear", environment="circle0", episodes=2).discounted_return > 0).all()
+    record = evaluation_record("linear", environment="circle0", episodes=2, discount=0)
+    assert (record.discounted_return == 0).all()  # that of the first step alone, which is not the last
     with pytest.raises(ConfigError, match="discount is 2; it must be"):
         evaluation_record("linear", episodes=1, discount=2)
 

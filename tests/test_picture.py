@@ -56,6 +56,13 @@ def test_notebooks_show_a_table_and_a_picture(record):
     assert "<td>environment</td>" in scenes_html(record.scenes)
 
 
+def test_without_episodes_a_notebook_shows_the_table_alone(record):
+    none = record.take([])
+    for shown in (none._repr_html_(), none.scenes._repr_html_()):
+        assert "<table>" in shown
+        assert "<svg" not in shown
+
+
 def test_a_record_is_written_in_a_line_and_shown_in_a_notebook(record):
     ends = ", ".join(f"{(record.outcome == end).sum()} {end}" for end in ("success", "collision", "timeout"))
     assert repr(record) == f"Record(6 episodes: {ends})"

@@ -32,13 +32,14 @@ def scene_svg(scenes: Scenes, episode: int = 0) -> str:
 
 
 def record_html(record: Record) -> str:
-    """What a notebook shows of a record: its metrics, and its first episode."""
-    return metrics_html(metrics(record)) + episode_svg(record)
+    """What a notebook shows of a record: its metrics, and its first episode if it has one."""
+    return metrics_html(metrics(record)) + (episode_svg(record) if len(record.steps) else "")
 
 
 def scenes_html(scenes: Scenes) -> str:
-    """What a notebook shows of scenes: how many there are of each environment, and the first."""
-    return _table([["environment", "scenes"], *Counter(map(str, scenes.environment)).items()]) + scene_svg(scenes)
+    """What a notebook shows of scenes: how many there are of each environment, and the first if there is one."""
+    table = _table([["environment", "scenes"], *Counter(map(str, scenes.environment)).items()])
+    return table + (scene_svg(scenes) if len(scenes) else "")
 
 
 def metrics_html(found: Mapping[str, Any]) -> str:
