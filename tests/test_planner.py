@@ -11,7 +11,7 @@ from sfmrl.episodes import play
 from sfmrl.policies import orca_policy
 from sfmrl.recovery import RecoveringPolicy
 from sfmrl.recovery import planner as planner_module
-from sfmrl.recovery.planner import plan, solvable
+from sfmrl.recovery.planner import plan, shortest_path, solvable
 from sfmrl.scenes import Scenes, sample_scenes
 
 
@@ -112,6 +112,40 @@ def test_a_closed_room_is_named_unsolvable_and_the_twenty_layouts_are_not():
     assert solvable(sample_scenes("maps", 20)).all()
     assert solvable(sample_scenes("table2", 50)).all()
     assert solvable(sample_scenes("1", 0)).shape == (0,)
+
+
+def test_without_squares_the_shortest_path_is_straight_however_long():
+    scenes = Scenes([[(0, 0)]] * 3, [[(390, 390)], [(0, 1e7)], [(0, 0)]])
+    assert shortest_path(scenes).tolist() == [math.hypot(390, 390), 1e7, 0.0]
+    absent = Scenes([[(0, 0), (np.nan, 0)]], [[(0, 1e7), (0, 0)]], square=[[False, True]])
+    assert shortest_path(absent).tolist() == [1e7]
+    assert solvable(scenes).all()
+
+
+def test_a_goal_far_beyond_squares_has_a_path_unless_they_close_it():
+    for goal in ((0.0, 1000.0), (390.0, 390.0)):
+        way = shortest_path(among_squares((0, 0), (0.6, 0), goal=goal))[0]
+        assert way == pytest.approx(math.dist((0, -4), goal), abs=0.2)
+    side = np.arange(-3.0, 3.1, 0.6)
+    ring = [(x, y - 4) for x in side for y in side if max(abs(x), abs(y)) > 2.9]
+    assert not solvable(among_squares(*ring, goal=(0.0, 300.0))).any()
+
+
+def test_a_long_and_narrow_path_is_a_path():
+    walls = [(x, side) for side in (-0.65, 0.65) for x in np.arange(0.0, 60.1, 0.6)]  # 0.7 m between their outlines
+    scenes = Scenes([[(-1, 0), *walls]], [[(61, 0), *walls]], square=[[False, *(True for _ in walls)]], radius=0.3)
+    assert shortest_path(scenes)[0] == pytest.approx(62.0)
+    assert solvable(scenes).all()
+
+
+def test_many_scenes_are_planned_for_few_at_a_time(monkeypatch):
+    scenes = sample_scenes("maps", 80)
+    whole = shortest_path(scenes)
+    monkeypatch.setattr(planner_module, "MOST_CELLS", 2**19)
+    with pytest.raises(ConfigError, match="too many"):
+        plan(scenes, Planner())
+    np.testing.assert_array_equal(shortest_path(scenes), whole)
+    assert solvable(scenes).all()
 
 
 def test_places_inside_squares_have_finite_distances_that_fall_outwards():

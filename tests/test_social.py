@@ -10,8 +10,10 @@ import pytest
 from conftest import DATA
 
 from sfmrl.config import Simulation
-from sfmrl.episodes import Record, play
+from sfmrl.episodes import Record, play, play_episodes
 from sfmrl.evaluation import evaluation_record
+from sfmrl.policies import load_policy
+from sfmrl.recovery import solvable
 from sfmrl.rewards import OUTCOMES, Transition
 from sfmrl.scenes import Scenes, sample_scenes
 from sfmrl.study.social import SOCIAL_METRICS, _time_to_collision, social_metrics, social_rows, social_values
@@ -155,6 +157,36 @@ def test_the_shortest_path_leads_around_a_square():
     heading = math.atan2(half, 4 - half) + math.asin(radius / to_corner)  # from the straight line
     shortest = 2 * (math.sqrt(to_corner**2 - radius**2) + radius * heading) + 2 * half
     assert social_metrics(record)["spl"] == pytest.approx(shortest / 11.0, rel=0.02)
+
+
+def test_with_no_way_to_go_a_success_has_gone_no_detour():
+    here = play(Scenes(start=[[[0.0, 0.0]]], goal=[[[0.0, 0.0]]]), "linear")
+    assert social_metrics(here)["spl"] == 1.0
+
+
+def test_the_shortest_path_leads_around_outlines_also_where_squares_are_discs():
+    """Between the discs of four squares 4 m wide, a robot leaves along the diagonal; between their corners are 0.42 m."""
+    squares = [(4.3, 0.0), (0.0, 4.3), (-4.3, 0.0), (0.0, -4.3)]
+    places = {"start": [[(0.0, 0.0), *squares]], "goal": [[(8.0, 8.0), *squares]]}
+    scenes = Scenes(**places, radius=[[0.3, *[2.0] * 4]], square=[[False, *[True] * 4]])
+    record = play_episodes(scenes, load_policy("linear"), "crowd", Simulation(squares="disc"))
+    assert record.outcome[0] == "success"
+    assert not solvable(scenes).any()
+    assert social_metrics(record)["spl"] == 1.0
+
+
+def test_a_goal_of_a_kilometre_away_has_a_path():
+    goals = [[[1000.0, 0.0]], [[0.0, 1000.0]]]
+    far = play(Scenes(start=[[[0.0, 0.0]]] * 2, goal=goals, v_pref=[[50.0], [1.0]]), "linear")
+    assert far.outcome.tolist() == ["success", "timeout"]
+    np.testing.assert_allclose(social_values(far)["spl"], [1.0, 0.0])
+
+
+def test_a_record_without_episodes_has_nothing_to_measure():
+    record = play(sample_scenes("1", 2), "linear")
+    for empty in (record.take([]), play(sample_scenes("1", 0), "linear")):
+        assert social_metrics(empty) == dict.fromkeys(SOCIAL_METRICS)
+        assert social_rows(empty) == []
 
 
 def test_head_on_the_time_to_collision_is_the_gap_over_the_speed():

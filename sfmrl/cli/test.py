@@ -39,15 +39,16 @@ def evaluate(
     new_file(csv, "csv", test.overwrite)
     chosen, name, config = test.choose(policy, settings)
     (record,) = test.play([chosen], config, episodes, settings)
-    result, treats = metrics(record, chosen), social_metrics(record)
-    save_rows([row | more for row, more in zip(episode_rows(record), social_rows(record), strict=True)], csv)
+    result = metrics(record, chosen)
+    if csv:
+        save_rows([row | more for row, more in zip(episode_rows(record), social_rows(record), strict=True)], csv)
     if as_json:
         what = {"policy": name} | code_facts([name]) | {"environment": test.where(config), "seed": test.seed}
-        say_json(what | test.crowd | result | {"social": treats})
+        say_json(what | test.crowd | result | {"social": social_metrics(record)})
         return
     print_metrics(result, f"{name}, {test.title(config, episodes)}")
     if social:
-        print_social(treats)
+        print_social(social_metrics(record))
     if failures := result["failures"]:
         failed = ", ".join(str(failure["episode"]) for failure in failures[:LISTED])
         see = test.replay_command(policy, config, failures[0]["episode"], settings)

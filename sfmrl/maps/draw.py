@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sfmrl.config import ConfigError, Planner
+from sfmrl.config import ConfigError
 from sfmrl.maps.format import CELL, GOALS, MOST_PLACES, PEOPLE, Drawing, parse
-from sfmrl.recovery.planner import UNREACHABLE, plan
+from sfmrl.recovery.planner import shortest_path
 from sfmrl.scenes import DRAWN, Scenes
 
 LARGEST = 100_000  # bytes of a map's file
@@ -49,8 +49,8 @@ def draw_map(scenes: Scenes, episode: int = 0) -> str:
 
 def why_unsolvable(scenes: Scenes, time_limit: float) -> str | None:
     """Why squares or distance let no policy reach the first episode's goal in `time_limit` s; None if they do not."""
-    far = float(plan(scenes.take([0]), Planner(inflation=0.0)).at(np.array([0]), scenes.start[:1, 0])[0])
-    if far >= UNREACHABLE:
+    far = float(shortest_path(scenes.take([0]))[0])
+    if np.isinf(far):
         return "unsolvable, the squares leave no way to the goal (a passage must be two characters wide)"
     if far > time_limit * scenes.v_pref[0, 0]:
         return f"the way to the goal is {far:.0f} m, more than the robot can go in --time-limit {time_limit:g} (s)"

@@ -9,7 +9,7 @@ leads around squares to the point where the straight line to the goal leaves the
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,7 +27,10 @@ STEPS = (((1, 1),), ((1, 2), (2, 1)), ((1, 3), (3, 1)))
 PAD = 3  # the most cells that a step goes aside
 NARROW = 10.0  # cost of a metre on which the robot is closer to a square than `inflation`
 SOLID = 1e4  # ... and of a metre on which it touches one
-UNREACHABLE = 500.0  # m: longer than any path, shorter than a cell of a square
+UNREACHABLE = 500.0  # m: longer than any detour, shorter than a cell of a square
+FARTHEST = 150.0  # m from the robot's start to squares that `shortest_path` heeds, for which a grid has room
+TOGETHER = MOST_CELLS // MOST_ACROSS**2  # scenes whose grids together are never too large
+GRID_ERROR = 1.015  # no distance over a grid is longer than this, times the true one
 
 
 @dataclass(frozen=True)
@@ -110,8 +113,26 @@ def plan(scenes: Scenes, planner: Planner, reach: np.ndarray | None = None) -> G
 
 
 def solvable(scenes: Scenes, planner: Planner = Planner()) -> np.ndarray:
-    """Whether a path leads from the robot's start to its goal without touching a square, (E,)."""
-    return plan(scenes, planner).at(np.arange(len(scenes)), scenes.start[:, 0]) < UNREACHABLE
+    """Whether a path leads from the robot's start to its goal without touching a square's outline, (E,)."""
+    return np.isfinite(shortest_path(scenes, planner))
+
+
+def shortest_path(scenes: Scenes, planner: Planner = Planner()) -> np.ndarray:
+    """Length in m of the shortest path from the robot's start to its goal around the squares' outlines, (E,).
+
+    It is inf where the squares leave no path, and straight where there are none; those more than `FARTHEST` from the
+    start are ignored. Outlines count also where gaps are to the discs inside (`squares`). Of `planner`, it takes the
+    resolution. Raises ConfigError where this makes a grid too large.
+    """
+    straight = length(scenes.goal[:, 0] - scenes.start[:, 0])
+    around, planner = straight.copy(), replace(planner, inflation=0.0)
+    among_squares = np.flatnonzero((scenes.square & ~np.isnan(scenes.start[..., 0])).any(1))
+    for e in range(0, len(among_squares), TOGETHER):
+        rows = among_squares[e : e + TOGETHER]
+        some, reach = scenes.take(rows), np.minimum(straight[rows], FARTHEST)
+        around[rows] = plan(some, planner, reach).at(np.arange(len(rows)), some.start[:, 0])
+    around = np.where(around < GRID_ERROR * straight, straight, around)  # straight lines are exact
+    return np.where(around - straight < UNREACHABLE, around, np.inf)
 
 
 def _distances(

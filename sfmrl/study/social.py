@@ -6,10 +6,9 @@ move straight on, as in rewards and collisions. A time-out counts the steps that
 
 import numpy as np
 
-from sfmrl.config import Planner
 from sfmrl.episodes import Record
 from sfmrl.geometry import length
-from sfmrl.recovery import plan
+from sfmrl.recovery.planner import shortest_path
 from sfmrl.sfm import repulsive_forces, resultant
 
 DANGER = 0.2  # m, CrowdNav's discomfort distance
@@ -22,7 +21,8 @@ SOCIAL_METRICS = {
     "danger_frequency": "share of the steps with a gap below 0.2 m, without each episode's last step (CrowdNav)",
     "danger_separation": "mean gap in those steps, m (CrowdNav)",
     "path_length": "length of the robot's path, m",
-    "spl": "success x shortest path / the longer of it and the path, both to the goal itself (Anderson et al., 2018)",
+    "spl": "success x shortest path around the squares' outlines / the longer of it and the path, both to the goal "
+    "itself (Anderson et al., 2018)",
     "min_gap": "smallest gap of an episode, m",
     **{name: f"share of the steps with a gap below {gap} m (Hall, 1966)" for name, gap in ZONES.items()},
     "min_ttc": f"smallest time to collision at constant velocities, s, at most {LONGEST_TTC:g} (exact for discs)",
@@ -41,13 +41,15 @@ def social_metrics(record: Record) -> dict[str, float | None]:
     values = social_values(record)
     danger, gap = _danger(record)
     result = {name: _mean(value) for name, value in values.items()}
-    result["danger_frequency"] = float(danger.sum() / record.steps.sum())
+    result["danger_frequency"] = _mean(danger[record.played])
     result["danger_separation"] = _mean(gap[danger])
     return result
 
 
 def social_values(record: Record) -> dict[str, np.ndarray]:
     """Every one of `SOCIAL_METRICS` by episode, (E,); NaN where an episode has nothing to measure."""
+    if not len(record.steps):
+        return {name: np.zeros(0) for name in SOCIAL_METRICS}
     dt, steps, played = record.simulation.time_step, record.steps, record.played
     danger, gap = _danger(record)
     position = np.where(_people(record)[:, None, :, None], record.position[:, :-1, 1:], np.nan)
@@ -94,13 +96,11 @@ def _danger(record: Record) -> tuple[np.ndarray, np.ndarray]:
 
 def _spl(record: Record, path: np.ndarray) -> np.ndarray:
     """Success weighted by path length, (E,); to the `path` (E,) in m, the distance left to the goal is added."""
-    scenes, last = record.scenes, (np.arange(len(record.steps)), record.steps - 1)
-    straight = length(scenes.goal[:, 0] - scenes.start[:, 0])
-    around = plan(scenes, Planner(inflation=0.0)).at(last[0], scenes.start[:, 0])
-    # The grid's distances are up to 1.4 % too long, and straight lines exact.
-    shortest = np.where(around < 1.015 * straight, straight, around)
-    path = path + record.transition.goal_distance[last]
-    return np.where(record.outcome == "success", shortest / np.maximum(shortest, path), 0.0)
+    spl, arrived = np.zeros(len(path)), np.flatnonzero(record.outcome == "success")
+    path = path[arrived] + record.transition.goal_distance[arrived, record.steps[arrived] - 1]
+    shortest = shortest_path(record.scenes.take(arrived))
+    spl[arrived] = np.divide(shortest, path, out=np.ones(len(path)), where=path > shortest)
+    return spl
 
 
 def _time_to_collision(offset: np.ndarray, approach: np.ndarray, reach: np.ndarray) -> np.ndarray:
