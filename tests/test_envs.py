@@ -238,8 +238,38 @@ def test_actions_that_cannot_be_taken_are_named():
     envs.reset(seed=0)
     with pytest.raises(ValueError, match="an action is NaN"):
         envs.step(np.full((2, 2), np.nan))
-    with pytest.raises(ValueError, match=r"shape \(1, 2\); they must have \(2, 2\)"):
+    with pytest.raises(ValueError, match=r"shape \(1, 2\) .*; the environment takes .*, shape \(2, 2\)"):
         envs.step(np.zeros((1, 2)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "bad", "good"),
+    [
+        ("continuous", [5, True, [0.0], [[0.0, 0.0]], "left", [np.nan, 0.0]], [[1, 0], FORWARD]),
+        ("discrete", [81, -1, 2.0, True, [0.5, 0.5], [5], "left"], [5, np.int64(80), np.array(0), np.uint8(3)]),
+    ],
+)
+def test_an_environment_takes_its_own_kind_of_action_alone(kind, bad, good):
+    env, envs = CrowdEnv(actions=kind), CrowdVectorEnv(2, actions=kind)
+    for action in bad:
+        env.reset(seed=0)
+        envs.reset(seed=0)
+        for step in (lambda a: env.step(a), lambda a: envs.step([a, a])):
+            with pytest.raises(ValueError, match=r"^(the actions have .*; the environment takes|an action is .*;) .*$"):
+                step(action)
+    for action in good:
+        env.step(action)
+        envs.step(np.array([action, action]))
+    takes = r"numbers from -1 to 1, shape \(2, 2\)" if kind == "continuous" else r"indices from 0 to 80, shape \(2,\)"
+    with pytest.raises(ValueError, match=takes):
+        envs.step([3, 4] if kind == "continuous" else [0.1, 0.2])
+
+
+def test_indices_are_those_of_the_81_actions():
+    world = sfmrl.reset(sfmrl.sample_scenes("circle5", 2))
+    for actions in ([0, -1], [0, 81], [0.1, 0.2]):
+        with pytest.raises(ValueError, match="an action is no index; it must be a whole number from 0 to 80"):
+            robot_velocity(world, np.array(actions))
 
 
 @pytest.mark.parametrize(("missing", "use"), [("gymnasium", ""), ("stable_baselines3", "sfmrl.envs.as_sb3(None)")])

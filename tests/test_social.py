@@ -165,7 +165,7 @@ def test_with_no_way_to_go_a_success_has_gone_no_detour():
 
 
 def test_the_shortest_path_leads_around_outlines_also_where_squares_are_discs():
-    """Between the discs of four squares 4 m wide, a robot leaves along the diagonal; between their corners are 0.42 m."""
+    """Between the discs of four large squares the robot leaves along the diagonal; their corners are 0.42 m apart."""
     squares = [(4.3, 0.0), (0.0, 4.3), (-4.3, 0.0), (0.0, -4.3)]
     places = {"start": [[(0.0, 0.0), *squares]], "goal": [[(8.0, 8.0), *squares]]}
     scenes = Scenes(**places, radius=[[0.3, *[2.0] * 4]], square=[[False, *[True] * 4]])

@@ -47,13 +47,15 @@ def robot_velocity(world: World, action: np.ndarray) -> np.ndarray:
     An action is a share of v_pref (forward, left), cut to the unit disc, (E, 2), or the index of one of SARL's 81
     actions with heading 0 as forward, (E,) integers. A unicycle's is its speed, -1 for 0 to 1 for
     v_pref, and its turn, -1 for the fastest to the right to 1 for the fastest to the left; its 81 are `robot_actions`.
-    Raises ValueError for other shapes and where one is not finite.
+    Raises ValueError for other shapes, where one is not finite, and for other indices.
     """
     action, shapes = np.asarray(action), ((len(world), 2), (len(world),))
     if action.shape not in shapes:
         raise ValueError(
             f"the actions have shape {action.shape}; they must have {shapes[0]}, or {shapes[1]} as indices"
         )
+    if action.ndim == 1 and not (action.dtype.kind in "iu" and ((action >= 0) & (action < len(ACTIONS))).all()):
+        raise ValueError(f"an action is no index; it must be a whole number from 0 to {len(ACTIONS) - 1}")
     share = ACTIONS[action] if action.ndim == 1 else limit(action.astype(float), 1.0)
     if not np.isfinite(share).all():
         raise ValueError("an action is NaN or infinite; it must be two finite numbers")

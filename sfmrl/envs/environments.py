@@ -43,6 +43,18 @@ def _mode(mode: str | None, known: list[str]) -> str | None:
     return mode
 
 
+def _checked(given: Any, space: Space) -> np.ndarray:
+    """The action, or those of all episodes, as an array; raises ValueError if it is not of the kind of its `space`."""
+    action, whole = np.asarray(given), np.issubdtype(space.dtype, np.integer)
+    if action.shape != space.shape or action.dtype.kind not in ("iu" if whole else "iuf"):
+        numbers = f"indices from 0 to {len(ACTIONS) - 1}" if whole else "numbers from -1 to 1"
+        raise ValueError(
+            f"the actions have shape {action.shape} and type {action.dtype}; the environment takes {numbers}, "
+            f"shape {space.shape}"
+        )
+    return action
+
+
 class CrowdEnv(Env):
     """One episode at a time.
 
@@ -66,9 +78,12 @@ class CrowdEnv(Env):
         return self._observation(), _one(self.crowd.info())
 
     def step(self, action: Any) -> tuple[dict, float, bool, bool, dict]:
-        """The observation after a step, its reward, terminated, truncated, and info."""
+        """The observation after a step, its reward, terminated, truncated, and info.
+
+        Raises ValueError if the action is not of the kind that the environment takes.
+        """
         world = self.crowd.world
-        step, reward = self.crowd.step(np.asarray(action)[None])
+        step, reward = self.crowd.step(_checked(action, self.action_space)[None])
         if self.render_mode == "ansi":
             self._past.append((world, step))
         outcome = int(step.outcome[0])
@@ -111,8 +126,11 @@ class CrowdVectorEnv(VectorEnv):
         return observe(self.crowd.world, self.crowd.forces), _masked(self.crowd.info(), self._all)
 
     def step(self, actions: np.ndarray) -> tuple[dict, np.ndarray, np.ndarray, np.ndarray, dict]:
-        """The observations after a step, its rewards, terminated, truncated, (E,) each, and infos."""
-        step, reward = self.crowd.step(actions)
+        """The observations after a step, its rewards, terminated, truncated, (E,) each, and infos.
+
+        Raises ValueError if the actions are not of the kind that the environments take.
+        """
+        step, reward = self.crowd.step(_checked(actions, self.action_space))
         late = step.outcome == TIMEOUT
         over = step.outcome != RUNNING
         observation, info, final = observe(self.crowd.world, self.crowd.forces), self.crowd.info(step), {}
