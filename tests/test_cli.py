@@ -68,6 +68,15 @@ def assert_one_line_error(done: subprocess.CompletedProcess, *words: str) -> Non
         assert word in done.stderr
 
 
+def test_eval_measures_how_people_are_treated_only_where_it_is_asked_to(in_process, monkeypatch):
+    measured = []
+    monkeypatch.setattr("sfmrl.study.social.social_metrics", lambda record: measured.append(record) or {})
+    words = ("eval", "linear", "--environment", "circle0", "--episodes", "1")
+    for more, times in (((), 0), (("--csv", "e.csv"), 0), (("--social",), 1), (("--json",), 2)):
+        assert in_process(*words, *more).returncode == 0
+        assert len(measured) == times
+
+
 def test_from_imitation_to_replay(sfmrl: Call, tmp_path: Path):
     il = sfmrl("il", *TINY_IL)
     assert (il.returncode, il.stdout) == (0, "")
