@@ -379,6 +379,9 @@ def test_the_figure_of_single_runs_has_the_interval_of_each_validation(sfmrl, tm
         (("1", "2", "--out", "f.svg"), "one table, or runs"),
         (("nowhere", "--out", "f.svg"), "nowhere does not exist"),
         (("1", "--out", "f.bmp"), "must end in .svg, .png, .pdf"),
+        (("1", "--out", "f.svg", "--csv", "./f.svg"), "--out and --csv name the same file"),
+        (("mine", "mine", "--csv", "f.csv"), "figure takes each run once"),
+        (("mine", "mine/", "--csv", "f.csv"), "figure takes each run once"),
     ],
 )
 def test_a_figure_that_cannot_be_drawn_is_one_line(sfmrl, words, said):
@@ -404,6 +407,7 @@ def test_jobs_are_printed_as_commands(sfmrl):
         (("table", "1", "--no-train"), "holds no finished run"),
         (("figure", "1", "--seeds", "x"), "neither a seed nor a range"),
         (("table", "1", "--csv", "no/such.csv"), "there is no folder no"),
+        (("table", "1", "--csv", "t", "--markdown", "t"), "--csv and --markdown name the same file"),
     ],
 )
 def test_wrong_use_is_one_line(sfmrl, words, said):

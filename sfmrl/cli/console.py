@@ -124,6 +124,15 @@ def new_file(path: Path | None, flag: str, overwrite: bool) -> None:
         raise ConfigError(f"nothing can be written to folder {path.parent}; name another --{flag}")
 
 
+def new_files(overwrite: bool, **paths: Path | None) -> None:
+    """Check the files of several options as `new_file` does; raises ConfigError if two name the same file."""
+    named: dict[Path, str] = {}
+    for flag, path in paths.items():
+        new_file(path, flag, overwrite)
+        if path and (other := named.setdefault(path.resolve(), flag)) != flag:
+            raise ConfigError(f"--{other} and --{flag} name the same file; each needs its own")
+
+
 def save_rows(rows: list[dict[str, Any]], path: Path | None) -> None:
     """Write rows to a CSV file, if one is given."""
     if path:

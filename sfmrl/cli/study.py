@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from sfmrl.cli import completion, options
-from sfmrl.cli.console import err, new_file, print_sheet, save_rows, say, say_json, say_result
+from sfmrl.cli.console import err, new_file, new_files, print_sheet, save_rows, say, say_json, say_result
 from sfmrl.cli.options import command, number_option, option
 from sfmrl.cli.session import TestOptions
 from sfmrl.config import Config, ConfigError, counted, override
@@ -78,8 +78,7 @@ def table(
     rows, seeds = selection.rows_and_seeds(number)
     if on not in ("here", "ray"):
         raise ConfigError(f"--on {on}: choose here or ray")
-    new_file(csv, "csv", selection.overwrite)
-    new_file(markdown, "markdown", selection.overwrite)
+    new_files(selection.overwrite, csv=csv, markdown=markdown)
     which = (number, selection.preset, seeds, rows, selection.folder)
     trainings = make_jobs(*which, selection.episodes, selection.validation_interval)
     if print_jobs:
@@ -149,11 +148,13 @@ def figure(
     """
     from sfmrl.study.validations import run_validations, table_validations
 
-    _check_picture(out, selection.overwrite)
-    new_file(csv, "csv", selection.overwrite)
+    _check_picture(out)
+    new_files(selection.overwrite, out=out, csv=csv)
     tables = [target for target in targets if target in ("1", "2")]
     if tables and len(targets) > 1:
         raise ConfigError(f"figure draws one table, or runs; it got {', '.join(targets)}")
+    if len({Path(target).resolve() for target in targets}) < len(targets):
+        raise ConfigError(f"figure takes each run once; it got {', '.join(targets)}")
     lines = table_validations(selection.finished(int(tables[0]))) if tables else run_validations(targets)
     if not (out or csv):
         raise ConfigError("figure writes files; name one, as --out validation.svg or --csv validation.csv")
@@ -184,7 +185,10 @@ def plot(
     """
     from sfmrl.episodes import play_episodes
 
-    _check_picture(out, test.overwrite, films=not scenes)
+    if scenes and policy:
+        raise ConfigError(f"--scenes plays nothing; leave out the policy {policy}")
+    _check_picture(out, films=not scenes)
+    new_file(out, "out", test.overwrite)
     from sfmrl.study.plots import draw_episode, save, scenes_figure
 
     if scenes:
@@ -198,8 +202,8 @@ def plot(
     say(f"wrote {out}")
 
 
-def _check_picture(path: Path | None, overwrite: bool, films: bool = False) -> None:
-    """Raise ConfigError if matplotlib is missing, or if a picture cannot be written to the file."""
+def _check_picture(path: Path | None, films: bool = False) -> None:
+    """Raise ConfigError if matplotlib is missing, or if the file's name is not a picture's."""
     if path is None:
         return
     from sfmrl.study.plots import FILMS, STILLS
@@ -207,4 +211,3 @@ def _check_picture(path: Path | None, overwrite: bool, films: bool = False) -> N
     known = (*STILLS, *(FILMS if films else ()))
     if path.suffix not in known:
         raise ConfigError(f"--out is {path}; its name must end in {', '.join(known)}")
-    new_file(path, "out", overwrite)
