@@ -9,6 +9,7 @@ from typing import Any
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Column, Table
 from rich.text import Text
 
@@ -16,6 +17,8 @@ from sfmrl.config import ConfigError
 from sfmrl.runs.files import csv_text, regular, write_text
 
 WIDTH = 80  # columns of a table, at least
+WIDEST = 10_000  # and at most
+CUT = "…"  # what Rich puts at the end of a cell that has no room
 MANY = 7  # rows of metrics; more have a line each
 
 
@@ -101,8 +104,11 @@ def _seconds(row: dict[str, Any]) -> str:
 
 
 def print_table(table: Table) -> None:
-    """Print a table; in a narrow terminal its lines wrap, but no number is cut."""
-    out.print(table, width=max(out.width, WIDTH), crop=False)
+    """Print a table, wider than the terminal where Rich would cut off a cell: then its lines wrap."""
+    wide = _Console(highlight=False, width=max(out.width, WIDTH))  # `out` prints no table wider than the terminal
+    if any(CUT in segment.text for segment in wide.render(table)):
+        wide.width = Measurement.get(wide, wide.options.update_width(WIDEST), table).maximum
+    wide.print(table, crop=False)
 
 
 def print_sheet(sheet: Any) -> None:
