@@ -198,6 +198,8 @@ def parse_mix(environment: str | int) -> dict[str, float]:
     shares: dict[str, float] = {}
     for part in MIXES.get(text, text).split(","):
         name, colon, share = part.strip().partition(":")
+        if name in MIXES:
+            raise ConfigError(f"{name} is a mix itself and cannot be mixed; write shares, as in {MIXES['table1']}")
         environment_of(name)
         try:
             shares[name] = shares.get(name, 0.0) + (float(share) if colon else 1.0)

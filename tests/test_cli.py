@@ -22,9 +22,11 @@ import pytest
 import torch
 import typer
 from conftest import ROOT, environment
+from rich.console import Console
 
 from sfmrl import __version__, cli, config
 from sfmrl.cli import app, completion, main
+from sfmrl.cli.console import print_sheet
 from sfmrl.cli.train import on_run
 from sfmrl.config import Config, ConfigError, Reward, override
 from sfmrl.fast import Sizes, as_fast
@@ -37,6 +39,7 @@ from sfmrl.runs.folders import locked, unfinished
 from sfmrl.runs.weights import load_weights, model_names
 from sfmrl.scenes import ENVIRONMENTS
 from sfmrl.sfm import SocialForce
+from sfmrl.study.sheets import Sheet
 from sfmrl.variants import MIXES, PRESETS, VARIANTS, make_config
 
 Call = Callable[..., subprocess.CompletedProcess]
@@ -226,6 +229,7 @@ WRONG_USE = [
     (("eval", "orca", "--episodes", "0"), ("--episodes",)),
     (("eval", "orca", "--environment", "7"), ("there is no environment '7'", "table1")),
     (("eval", "orca", "--environment", ""), ("there is no environment ''",)),
+    (("eval", "orca", "--environment", "table1,table2"), ("table1 is a mix itself", "write shares, as in 1:0.7,2:0.3")),
     (("eval", "orca", "--environment", "circle" + "9" * 30), ("there is no environment 'circle999",)),
     (("eval", "orca", "--environment", "circle1000"), ("there is no environment 'circle1000'",)),
     (("eval", "orca", "--environment", "circle999", "--episodes", "1"), ("no room for person",)),
@@ -731,6 +735,28 @@ def test_runs_of_a_folder_are_listed_and_of_none_it_is_said(in_process: Call, mo
     long = in_process("runs", "mine").stdout
     assert max(map(len, long.splitlines())) <= 80
     assert long.count("z") == 70  # it is not cut off
+
+
+@pytest.mark.parametrize("columns", [40, 80])
+def test_no_cell_of_a_table_is_cut_in_a_narrow_terminal(in_process: Call, monkeypatch, capsys, columns):
+    monkeypatch.setattr("sfmrl.cli.console.out", Console(width=columns))
+    mix = ("--environment", "map-narrow-corridor:0.5,map-u:0.5", "--episodes", "4")
+    for words in (("eval", "linear", *mix, "--social"), ("models",), ("explain", "linear", "--environment", "5")):
+        done = in_process(*words)
+        assert (done.returncode, "…" in done.stdout) == (0, False)
+        assert words[0] != "eval" or "map-narrow-corridor" in done.stdout
+    cells = {"policy": "sarl"} | {f"number {k}": "-.123 (-.456 to -.012)" for k in range(9)}
+    print_sheet(Sheet("Nine", [cells]))
+    assert capsys.readouterr().out.splitlines()[3].split() == " ".join(cells.values()).split()
+
+
+def test_letters_that_the_output_lacks_are_replaced(tmp_path: Path):
+    create_run("il", Config(), tmp_path / "runs" / "größe")
+    plain = environment() | {"PYTHONIOENCODING": "ascii"}
+    command = [sys.executable, "-m", "sfmrl", "runs"]
+    done = subprocess.run(command, cwd=tmp_path, env=plain, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "runs/gr??e" in done.stdout
 
 
 def config_of(in_process: Call, monkeypatch, *words: str) -> Config:

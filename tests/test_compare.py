@@ -14,6 +14,7 @@ from sfmrl.network import ValueNetwork
 from sfmrl.policies import POLICIES
 from sfmrl.runs.weights import save_weights
 from sfmrl.study.compare import compare, comparison_sheets, social_sheet
+from sfmrl.study.sheets import rate
 from sfmrl.study.social import SOCIAL_METRICS, social_metrics, social_values
 
 NAMES = ["orca", "linear", "sfm"]
@@ -61,9 +62,16 @@ def test_social_metrics_are_compared_where_both_have_a_value(records):
     found = compared(records)["policies"]
     ours, theirs = (social_values(records[k])["danger_separation"] for k in (1, 0))
     gap = (ours - theirs)[~np.isnan(ours) & ~np.isnan(theirs)]
-    assert found[0]["social"] == social_metrics(records[0])
+    for row, record in zip(found, records, strict=True):
+        for name, values in social_values(record).items():  # the same estimand as the differences
+            assert row["social"][name] == pytest.approx(np.nanmean(values))
+    pooled = social_metrics(records[0])
+    assert found[0]["social"]["danger_frequency"] != pytest.approx(pooled["danger_frequency"], abs=1e-3)
     assert found[1]["less_first"]["social"]["danger_separation"]["mean"] == pytest.approx(gap.mean())
-    lines = social_sheet(compared(records)).lines
+    sheet = social_sheet(compared(records))
+    assert "means over episodes" in sheet.title
+    lines = sheet.lines
+    assert lines[0]["orca"] == rate(found[0]["social"]["danger_frequency"])
     assert [line["metric"] for line in lines] == list(SOCIAL_METRICS)
     assert list(lines[0])[1:] == ["orca", "linear less orca", "sfm less orca"]
 
@@ -100,6 +108,8 @@ def test_the_command(sfmrl, tmp_path):
     with open(tmp_path / "c.csv") as file:
         lines = list(csv.DictReader(file))
     assert [line["policy"] for line in lines] == ["orca"] * 20 + ["linear"] * 20
+    path = social_values(evaluation_record("linear", environment="1", episodes=20))["path_length"]
+    assert [float(line["path_length"]) for line in lines[20:]] == path.tolist()
     found = json.loads(sfmrl(*words, "--json").stdout)
     wins = [line["outcome"] == "success" for line in lines]
     assert found["policies"][0]["success"] == sum(wins[:20]) / 20

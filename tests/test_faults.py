@@ -271,11 +271,14 @@ def outcome(read: Callable[[], Any]) -> Any:
 
 
 @pytest.fixture(scope="module")
-def laid_out(place, tmp_path_factory) -> tuple[Path, Path]:
+def laid_out(place, tmp_path_factory) -> Iterator[tuple[Path, Path]]:
     """The folder of a table with one run, and an imitation run."""
     folder = tmp_path_factory.mktemp("flips")
     shutil.copytree(place / "rl", run_folder(folder, 1, "quick", "sarl", 0))
-    return folder, Path(shutil.copytree(place / "il", folder / "il"))
+    config = open_run(place / "rl").config
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sfmrl.study.tables.run_config", lambda *_, **__: config)  # the table's own are too long
+        yield folder, Path(shutil.copytree(place / "il", folder / "il"))
 
 
 FILES = ["config.json", "run.json", "map.txt", "weights.npz", "best.npz", *TABLES, SUMS, DEMONSTRATIONS]

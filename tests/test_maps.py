@@ -336,6 +336,9 @@ def test_commands_use_maps_and_say_what_is_wrong_in_a_line(sfmrl: Callable, tmp_
     rl = sfmrl("rl", "--map", "closed.txt", "--from", "nothing")
     assert rl.stderr.splitlines()[0].startswith("closed.txt: unsolvable")
     assert "unsolvable" in sfmrl("eval", "linear", "--map", "closed.txt", "--episodes", "1").stderr
+    (tmp_path / "far.txt").write_text("R" + "." * 50 + "G\n")
+    far = sfmrl("eval", "linear", "--map", "far.txt", "--episodes", "2")
+    assert "the way to the goal is 31 m, more than the robot can go in --time-limit 25 (s)" in far.stderr
     for command in (["eval", "orca"], ["rl"]):
         both = sfmrl(*command, "--map", "closed.txt", "--environment", "2")
         assert both.returncode == 2

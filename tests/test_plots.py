@@ -97,6 +97,9 @@ def test_the_command_draws_and_films_an_episode(sfmrl, tmp_path):
     assert all(f"environment {name}" in (tmp_path / "scenes.svg").read_text() for name in "12345")
     film = sfmrl("plot", "--scenes", "--out", "scenes.gif")
     assert (film.returncode, film.stderr.count("\n")) == (2, 1)
+    needless = sfmrl("plot", "orac", "--scenes", "--out", "other.svg")
+    assert (needless.returncode, needless.stderr.count("\n")) == (2, 1)
+    assert "--scenes plays nothing; leave out the policy orac" in needless.stderr
     again = sfmrl("plot", "orca", "--out", "a.pdf")
     assert (again.returncode, again.stderr.count("\n")) == (2, 1)
     wrong = sfmrl("plot", "orca", "--out", "a.bmp")

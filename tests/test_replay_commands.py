@@ -62,6 +62,8 @@ def test_a_size_is_kept_in_a_pipe(sfmrl):
         (("--svg", "a", "--frames", "3", "--at", "2"), ("--frames and --at",)),
         (("--scenes", "--svg", "a"), ("--scenes", "leave out --svg")),
         (("--scenes", "--versus", "orca"), ("--scenes", "leave out --versus")),
+        (("--scenes",), ("--scenes plays nothing; leave out the policy linear",)),
+        (("--draw", "--environment", "2"), ("--draw plays nothing; leave out the policy linear",)),
         (("--versus", "ocra"), ("there is no policy ocra", "orca")),
         (
             ("--versus", "orca", "--size", "60x15"),

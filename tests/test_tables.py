@@ -4,6 +4,7 @@ import csv
 import json
 import re
 import shlex
+import sys
 from pathlib import Path
 
 import make_ablation
@@ -12,13 +13,25 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from sfmrl.config import ConfigError
+from sfmrl.cli import main
+from sfmrl.config import ConfigError, override
 from sfmrl.evaluation import wilson
-from sfmrl.runs.files import csv_text
+from sfmrl.runs.create import create_run
+from sfmrl.runs.files import csv_text, write_atomically
 from sfmrl.scenes import sample_scenes
 from sfmrl.study.sheets import rate, sheets
 from sfmrl.study.statistics import contrasts, mean_interval, summarise
-from sfmrl.study.tables import TABLES, Trained, figures, make_jobs, parse_rows, parse_seeds, read_row, run_folder
+from sfmrl.study.tables import (
+    TABLES,
+    Trained,
+    figures,
+    make_jobs,
+    parse_rows,
+    parse_seeds,
+    read_row,
+    run_config,
+    run_folder,
+)
 from sfmrl.study.validations import table_validations
 
 EPISODES = np.array([0, 250, 500, 1000])
@@ -49,10 +62,10 @@ def trained(success: list[float], episodes: int = 500, seeds: list[int] | None =
     )
 
 
-def write_run(folder: Path, success: float, seed: int, first: int = 0) -> None:
+def write_run(place: Path, row: str, seed: int, success: float, first: int = 0) -> None:
     """A finished run's files, as far as a table reads them."""
-    run, folder = trained([success], 50), Path(folder)
-    folder.mkdir(parents=True)
+    run, folder = trained([success], 50), run_folder(place, 1, "quick", row, seed)
+    create_run("rl", run_config(1, "quick", row, seed), folder)
     (folder / "weights.npz").touch()
     (folder / "result.json").write_text(json.dumps({"best_validation": {"success": success, "episode": 500}}))
     columns = {name: getattr(run, name)[0].tolist() for name in ("outcome", "hit", "time", "total_reward")}
@@ -70,7 +83,7 @@ def folder(tmp_path) -> Path:
     for row, success in (("sarl", 0.96), ("sarl-sfm2", 0.9), ("sarl-sfm5", 1.0), ("sarl-sfm6", 0.94)):
         for seed in range(4):
             if (row, seed) != ("sarl-sfm6", 3):
-                write_run(run_folder(tmp_path, 1, "quick", row, seed), success - 0.02 * (seed % 2), seed)
+                write_run(tmp_path, row, seed, success - 0.02 * (seed % 2))
     return tmp_path
 
 
@@ -86,6 +99,62 @@ def test_jobs_are_one_command_each_and_rows_share_their_imitation():
         words = shlex.split(job.command)
         assert words[:2] == ["sfmrl", "rl"]
         assert {flag: words[words.index(flag) + 1] for flag in options} == options
+
+
+@pytest.mark.parametrize(("number", "schedule"), [(1, {}), (2, {}), (1, {"episodes": 30, "interval": 20})])
+@pytest.mark.parametrize("preset", ["quick", "paper"])
+def test_each_command_makes_a_run_with_the_config_that_the_table_looks_for(
+    number, schedule, preset, tmp_path, monkeypatch
+):
+    made = []
+    monkeypatch.setattr("sfmrl.runs.create.start_run", lambda config, *_, **__: made.append(config) or sys.exit())
+    rows = list(TABLES[number].paper)
+    for job in make_jobs(number, preset, [3], rows, tmp_path, *schedule.values())[1:]:
+        monkeypatch.setattr(sys, "argv", ["sfmrl", *job.words])
+        with pytest.raises(SystemExit):
+            main()
+    assert made == [run_config(number, preset, row, 3, **schedule) for row in rows]
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"reinforcement": {"episodes": 20}}, '"episodes": 20, not "episodes": 1000'),
+        ({"reinforcement": {"validation_interval": 20}}, '"validation_interval": 20, not "validation_interval": 250'),
+        ({"reinforcement": {"test_episodes": 50}}, '"test_episodes": 50, not "test_episodes": 500'),
+        ({"reinforcement": {"environment": "2"}}, '"environment": "2", not "environment": "table1"'),
+        ({"imitation": {"epochs": 2}}, '"epochs": 2, not "epochs": 6'),
+        ({"reward": {"reward": "sfm"}}, '"reward": "sfm", not "reward": "crowd"'),
+        ({"forces": True}, '"forces": true, not "forces": false'),
+        ({"sparse": 0.0}, '"sparse": 0.0, not "sparse": 0.1'),
+        ({"seed": 8}, '"seed": 8, not "seed": 0'),
+    ],
+)
+def test_a_finished_run_with_other_settings_is_not_counted_and_nothing_is_trained(
+    changes, said, folder, sfmrl, monkeypatch
+):
+    run = run_folder(folder, 1, "quick", "sarl", 0)
+    config = override(run_config(1, "quick", "sarl", 0), changes)
+    write_atomically(run / "config.json", config.to_json().encode())
+    with pytest.raises(ConfigError, match=f"{run} was begun with {said}; give the --episodes and .* or name another"):
+        read_row(folder, 1, "quick", "sarl", [0, 1])
+    if "epochs" in said:
+        done = sfmrl("table", "1", "--folder", folder, "--rows", "sarl", "--seeds", "0-9")
+        assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+        assert said in done.stderr
+        assert not (folder / "logs").exists()
+
+
+def test_a_table_of_shorter_trainings_is_read_with_its_own_options(folder, sfmrl):
+    for seed in range(4):
+        config = run_config(1, "quick", "sarl", seed, 30, 20)
+        write_atomically(run_folder(folder, 1, "quick", "sarl", seed) / "config.json", config.to_json().encode())
+    which = ("1", "--folder", folder, "--rows", "sarl", "--seeds", "0-3", "--episodes", 30)
+    table = ("table", *which, "--no-train")
+    assert sfmrl(*table).returncode == 2
+    done = sfmrl(*table, "--validation-interval", 20)
+    assert "Table 1, quick preset, 50 test episodes" in done.stdout, done.stderr  # as many as there are in test.csv
+    assert sfmrl("figure", *which, "--validation-interval", 20, "--csv", "f.csv").returncode == 0
 
 
 @pytest.mark.parametrize(
@@ -164,7 +233,7 @@ def test_a_run_that_cannot_be_read_is_one_error(folder, name, text):
 
 
 def test_runs_that_were_tested_on_other_episodes_are_refused(folder):
-    write_run(run_folder(folder, 1, "quick", "sarl", 4), 0.9, 4, first=50)
+    write_run(folder, "sarl", 4, 0.9, first=50)
     with pytest.raises(ConfigError, match="sarl-seed4 was tested on other episodes"):
         read_row(folder, 1, "quick", "sarl", [0, 4])
 
@@ -310,6 +379,9 @@ def test_the_figure_of_single_runs_has_the_interval_of_each_validation(sfmrl, tm
         (("1", "2", "--out", "f.svg"), "one table, or runs"),
         (("nowhere", "--out", "f.svg"), "nowhere does not exist"),
         (("1", "--out", "f.bmp"), "must end in .svg, .png, .pdf"),
+        (("1", "--out", "f.svg", "--csv", "./f.svg"), "--out and --csv name the same file"),
+        (("mine", "mine", "--csv", "f.csv"), "figure takes each run once"),
+        (("mine", "mine/", "--csv", "f.csv"), "figure takes each run once"),
     ],
 )
 def test_a_figure_that_cannot_be_drawn_is_one_line(sfmrl, words, said):
@@ -335,6 +407,7 @@ def test_jobs_are_printed_as_commands(sfmrl):
         (("table", "1", "--no-train"), "holds no finished run"),
         (("figure", "1", "--seeds", "x"), "neither a seed nor a range"),
         (("table", "1", "--csv", "no/such.csv"), "there is no folder no"),
+        (("table", "1", "--csv", "t", "--markdown", "t"), "--csv and --markdown name the same file"),
     ],
 )
 def test_wrong_use_is_one_line(sfmrl, words, said):

@@ -324,6 +324,17 @@ def test_several_runs_and_archives_have_a_line_each_and_copies_are_named(sfmrl, 
     assert sorted(tmp_path.rglob("*")) == before
 
 
+def test_what_cannot_be_read_has_a_line_and_the_others_are_judged(sfmrl, copy, tmp_path):
+    whole = Path(shutil.make_archive(str(tmp_path / "good"), "zip", copy / "il"))
+    (tmp_path / "cut.zip").write_bytes(whole.read_bytes()[:5000])
+    done = sfmrl("verify", "good.zip", "cut.zip", "nowhere", "--episodes", 1)
+    assert (done.returncode, done.stderr) == (1, "")
+    cut, nowhere, good = done.stdout.splitlines()
+    assert cut.startswith("cut.zip is neither a run folder nor an archive")
+    assert nowhere.startswith("nowhere does not exist")
+    assert good.startswith("good.zip: .: all ")
+
+
 def test_one_archive_of_one_run_is_told_in_full(sfmrl, copy, tmp_path):
     shutil.make_archive(str(tmp_path / "il"), "tar", copy / "il")
     done = sfmrl("verify", "il.tar", "--episodes", 2)

@@ -4,6 +4,7 @@ Exit codes: 0 done, 1 failed, 2 wrong use, 130 interrupted (by Ctrl-C, SIGTERM o
 by the commands that need them.
 """
 
+import io
 import os
 import sys
 
@@ -61,6 +62,8 @@ def greeting() -> str:
 def main() -> None:
     """Run the `sfmrl` command; every expected failure is one line on standard error."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is imported, see `sfmrl.fast.blas`
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # letters that its encoding lacks; standard error escapes them
     try:
         code = app(standalone_mode=False)
         reason = "interrupted" if code == INTERRUPTED else ""

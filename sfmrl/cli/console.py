@@ -9,6 +9,7 @@ from typing import Any
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Column, Table
 from rich.text import Text
 
@@ -16,6 +17,8 @@ from sfmrl.config import ConfigError
 from sfmrl.runs.files import csv_text, regular, write_text
 
 WIDTH = 80  # columns of a table, at least
+WIDEST = 10_000  # and at most
+CUT = "…"  # what Rich puts at the end of a cell that has no room
 MANY = 7  # rows of metrics; more have a line each
 
 
@@ -101,8 +104,11 @@ def _seconds(row: dict[str, Any]) -> str:
 
 
 def print_table(table: Table) -> None:
-    """Print a table; in a narrow terminal its lines wrap, but no number is cut."""
-    out.print(table, width=max(out.width, WIDTH), crop=False)
+    """Print a table, wider than the terminal where Rich would cut off a cell: then its lines wrap."""
+    wide = _Console(highlight=False, width=max(out.width, WIDTH))  # `out` prints no table wider than the terminal
+    if any(CUT in segment.text for segment in wide.render(table)):
+        wide.width = Measurement.get(wide, wide.options.update_width(WIDEST), table).maximum
+    wide.print(table, crop=False)
 
 
 def print_sheet(sheet: Any) -> None:
@@ -122,6 +128,15 @@ def new_file(path: Path | None, flag: str, overwrite: bool) -> None:
         raise ConfigError(f"there is no folder {path.parent} for --{flag} {path.name}")
     if not os.access(path.parent, os.W_OK):
         raise ConfigError(f"nothing can be written to folder {path.parent}; name another --{flag}")
+
+
+def new_files(overwrite: bool, **paths: Path | None) -> None:
+    """Check the files of several options as `new_file` does; raises ConfigError if two name the same file."""
+    named: dict[Path, str] = {}
+    for flag, path in paths.items():
+        new_file(path, flag, overwrite)
+        if path and (other := named.setdefault(path.resolve(), flag)) != flag:
+            raise ConfigError(f"--{other} and --{flag} name the same file; each needs its own")
 
 
 def save_rows(rows: list[dict[str, Any]], path: Path | None) -> None:

@@ -1,5 +1,6 @@
 """The commands that make tables and figures: `sfmrl table`, `sfmrl figure`, `sfmrl plot`."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -7,10 +8,10 @@ from typing import Any
 import typer
 
 from sfmrl.cli import completion, options
-from sfmrl.cli.console import err, new_file, print_sheet, save_rows, say, say_json, say_result
+from sfmrl.cli.console import err, new_file, new_files, print_sheet, save_rows, say, say_json, say_result
 from sfmrl.cli.options import command, number_option, option
 from sfmrl.cli.session import TestOptions
-from sfmrl.config import Config, ConfigError, override
+from sfmrl.config import Config, ConfigError, counted, override
 from sfmrl.runs.files import write_text
 from sfmrl.variants import make_config
 
@@ -23,6 +24,10 @@ class Selection:
     rows: str | None = option(None, "rows, as sarl,sarl-sfm6 (default all of the paper's)")
     preset: str = option("quick", "schedule: quick or paper (default quick)")
     folder: Path = option(Path("runs/tables"), "where the run folders are (default runs/tables)")
+    episodes: int | None = number_option(None, "training episodes of each run (default the preset's)", 1, 10_000_000)
+    validation_interval: int | None = number_option(
+        None, "episodes between validations (default quick 250, paper 1000)", 1, 10_000_000
+    )
     overwrite: bool = options.OVERWRITE
 
     def rows_and_seeds(self, number: int) -> tuple[list[str], list[int]]:
@@ -32,12 +37,17 @@ class Selection:
         make_config(self.preset)
         return parse_rows(number, self.rows), parse_seeds(self.seeds)
 
+    def of_each_row(self, read: Callable[..., Any], number: int) -> dict[str, Any]:
+        """Call `tables.read_row` or `tables.finished_runs` for each row."""
+        rows, seeds = self.rows_and_seeds(number)
+        schedule = {"episodes": self.episodes, "interval": self.validation_interval}
+        return {row: read(self.folder, number, self.preset, row, seeds, **schedule) for row in rows}
+
     def finished(self, number: int) -> dict[str, Any]:
         """Read the finished runs of each row that has some; raises ConfigError if there are none at all."""
         from sfmrl.study.tables import read_row
 
-        rows, seeds = self.rows_and_seeds(number)
-        runs = {row: read_row(self.folder, number, self.preset, row, seeds) for row in rows}
+        runs = self.of_each_row(read_row, number)
         if not any(runs.values()):
             raise ConfigError(
                 f"{self.folder} holds no finished run of table {number}, {self.preset} preset; "
@@ -52,10 +62,6 @@ def table(
     *,
     selection: Selection,
     jobs: int | None = number_option(None, "trainings side by side (default one a core)", 1, 1024),
-    episodes: int | None = number_option(None, "training episodes of each run (default the preset's)", 1, 10_000_000),
-    validation_interval: int | None = number_option(
-        None, "episodes between validations (default quick 250, paper 1000)", 1, 10_000_000
-    ),
     on: str = option("here", "where to train: here, or ray (default here)"),
     print_jobs: bool = option(False, "print the trainings as commands, and run none", "--print-jobs"),
     no_train: bool = option(False, "make the table from finished trainings, train nothing", "--no-train"),
@@ -67,19 +73,19 @@ def table(
 
     Give the same command again to go on after a stop; finished trainings are kept.
     """
-    from sfmrl.study.tables import make_jobs
+    from sfmrl.study.tables import finished_runs, make_jobs
 
     rows, seeds = selection.rows_and_seeds(number)
     if on not in ("here", "ray"):
         raise ConfigError(f"--on {on}: choose here or ray")
-    new_file(csv, "csv", selection.overwrite)
-    new_file(markdown, "markdown", selection.overwrite)
+    new_files(selection.overwrite, csv=csv, markdown=markdown)
     which = (number, selection.preset, seeds, rows, selection.folder)
-    trainings = make_jobs(*which, episodes, validation_interval)
+    trainings = make_jobs(*which, selection.episodes, selection.validation_interval)
     if print_jobs:
         say_result("\n".join(job.command for job in trainings))
         return
     if not no_train:
+        selection.of_each_row(finished_runs, number)  # raises ConfigError now, not after hours
         _train(trainings, on, jobs)
     runs, wanted = selection.finished(number), len(rows) * len(seeds)
     if missing := wanted - sum(len(trained.seeds) for trained in runs.values()):
@@ -115,7 +121,8 @@ def _report(
     paper = TABLES[number]
     rows = {row: figures(trained) for row, trained in runs.items()}
     summary, effects = summarise(paper, rows), contrasts(rows) if number == 1 else []
-    pages = sheets(summary, effects, f"Table {number}, {preset} preset, {paper.test_episodes} test episodes")
+    tested = next(iter(rows.values())).test_episodes
+    pages = sheets(summary, effects, f"Table {number}, {preset} preset, {counted(tested, 'test episode')}")
     save_rows(csv_rows(summary, effects), csv)
     if markdown:
         write_text(markdown, "\n".join(page.markdown() for page in pages))
@@ -141,11 +148,13 @@ def figure(
     """
     from sfmrl.study.validations import run_validations, table_validations
 
-    _check_picture(out, selection.overwrite)
-    new_file(csv, "csv", selection.overwrite)
+    _check_picture(out)
+    new_files(selection.overwrite, out=out, csv=csv)
     tables = [target for target in targets if target in ("1", "2")]
     if tables and len(targets) > 1:
         raise ConfigError(f"figure draws one table, or runs; it got {', '.join(targets)}")
+    if len({Path(target).resolve() for target in targets}) < len(targets):
+        raise ConfigError(f"figure takes each run once; it got {', '.join(targets)}")
     lines = table_validations(selection.finished(int(tables[0]))) if tables else run_validations(targets)
     if not (out or csv):
         raise ConfigError("figure writes files; name one, as --out validation.svg or --csv validation.csv")
@@ -176,7 +185,10 @@ def plot(
     """
     from sfmrl.episodes import play_episodes
 
-    _check_picture(out, test.overwrite, films=not scenes)
+    if scenes and policy:
+        raise ConfigError(f"--scenes plays nothing; leave out the policy {policy}")
+    _check_picture(out, films=not scenes)
+    new_file(out, "out", test.overwrite)
     from sfmrl.study.plots import draw_episode, save, scenes_figure
 
     if scenes:
@@ -190,8 +202,8 @@ def plot(
     say(f"wrote {out}")
 
 
-def _check_picture(path: Path | None, overwrite: bool, films: bool = False) -> None:
-    """Raise ConfigError if matplotlib is missing, or if a picture cannot be written to the file."""
+def _check_picture(path: Path | None, films: bool = False) -> None:
+    """Raise ConfigError if matplotlib is missing, or if the file's name is not a picture's."""
     if path is None:
         return
     from sfmrl.study.plots import FILMS, STILLS
@@ -199,4 +211,3 @@ def _check_picture(path: Path | None, overwrite: bool, films: bool = False) -> N
     known = (*STILLS, *(FILMS if films else ()))
     if path.suffix not in known:
         raise ConfigError(f"--out is {path}; its name must end in {', '.join(known)}")
-    new_file(path, "out", overwrite)

@@ -68,9 +68,10 @@ def verify(
     """Check runs that were handed in: files against SHA256SUMS, weights by playing again.
 
     Archives are unpacked into a temporary folder. Of several runs, each has a line, and those with the same weights are
-    named: copies, or the same command and seed. Exit code 0 if all that could be checked agrees, else 1. Digests can be
-    forged by recomputing them; that the weights do what the test's table says cannot, but who trained them, and how, is
-    not checked. A reward of the run's own is Python code, and is run only with --trust-reward: read it first.
+    named: copies, or the same command and seed. Exit code 0 if all that could be checked agrees, else 1, or 2 if the
+    only run cannot be read. Digests can be forged by recomputing them; that the weights do what the test's table says
+    cannot, but who trained them, and how, is not checked. A reward of the run's own is Python code, and is run only
+    with --trust-reward: read it first.
     """
     from sfmrl.lessons.handed_in import runs_in, same_weights
     from sfmrl.lessons.verify import verify as findings_of
@@ -78,11 +79,15 @@ def verify(
     from sfmrl.runs.progress import show_progress
 
     how = (episodes, tolerance, threads or available_cores(), show_progress(err))
-    disagree = False
-    with runs_in(runs) as folders:
+    with runs_in(runs) as (folders, errors):
+        if errors and len(runs) == 1:
+            raise errors[0]
+        disagree = bool(errors)
+        for error in errors:
+            say_result(str(error))
         for name, folder in folders.items():
             found = findings_of(folder, *how, trust_reward=trust_reward)
-            wrong, unknown, count = _sorted(_said(found) if len(folders) == 1 else found)
+            wrong, unknown, count = _sorted(_said(found) if len(folders) + len(errors) == 1 else found)
             aside = f"; not judged: {', '.join(unknown)}" if unknown else ""
             verdict = f"{len(wrong)} of {count} DO NOT AGREE: {', '.join(wrong)}" if wrong else f"all {count} agree"
             say_result(f"{name}: {verdict}{aside}")

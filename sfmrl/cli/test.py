@@ -34,6 +34,7 @@ def evaluate(
     --social adds gaps, danger, jerk, path length and more, each with its formula; --json and --csv always have them.
     """
     from sfmrl.evaluation import episode_rows, metrics
+    from sfmrl.maps import why_unsolvable
     from sfmrl.study.social import social_metrics, social_rows
 
     new_file(csv, "csv", test.overwrite)
@@ -54,8 +55,11 @@ def evaluate(
         see = test.replay_command(policy, config, failures[0]["episode"], settings)
         more = ", ..." if len(failures) > LISTED else ""
         say(f"{counted(len(failures), 'episode')} ({failed}{more}) failed; see one: {see}")
+    failed_scenes = record.scenes.take(record.outcome != "success")
     if unsolvable := [str(failure["episode"]) for failure in failures if not failure["solvable"]]:
         say(f"unsolvable, the squares leave no way to the goal: {', '.join(unsolvable[:LISTED])}")
+    elif failures and (reason := why_unsolvable(failed_scenes, config.simulation.time_limit)):
+        say(reason)
 
 
 @command("sfmrl compare sarl sarl-sfm6 orca --environment table2", "simulation", "reward", "planner")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from sfmrl.cli import options
-from sfmrl.cli.console import new_file, out, say, say_result
+from sfmrl.cli.console import new_files, out, say, say_result
 from sfmrl.cli.options import command, number_option, option
 from sfmrl.cli.session import TestOptions, exclude, simulation_for
 from sfmrl.config import Config, ConfigError, counted, override
@@ -31,10 +31,7 @@ class Look:
 
     def check(self, overwrite: bool) -> None:
         """Raise ConfigError if files cannot be written, or if options contradict each other."""
-        new_file(self.svg, "svg", overwrite)
-        new_file(self.cast, "cast", overwrite)
-        if self.svg and self.cast and self.svg.resolve() == self.cast.resolve():
-            raise ConfigError("--svg and --cast name the same file; each needs its own")
+        new_files(overwrite, svg=self.svg, cast=self.cast)
         exclude({"--frames": self.frames, "--at": self.at})
         if self.cast and not self.svg and self.stills():
             raise ConfigError("--frames and --at choose stills, but a recording has every step; leave them out")
@@ -76,7 +73,7 @@ def ascii_render(
     """Replay a test episode in the terminal, or write it to files."""
     look.check(test.overwrite)
     exclude({"--scenes": scenes, "--draw": draw})
-    unplayed = {"--svg": look.svg, "--cast": look.cast, "--versus": versus}
+    unplayed = {"--svg": look.svg, "--cast": look.cast, "--versus": versus, f"the policy {policy}": policy}
     if (scenes or draw) and (needless := [flag for flag, value in unplayed.items() if value]):
         raise ConfigError(f"{'--scenes' if scenes else '--draw'} plays nothing; leave out {needless[0]}")
     room, config = look.room(), override(Config(), settings)

@@ -8,31 +8,40 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from sfmrl.config import ConfigError
-from sfmrl.runs.files import digest_of, regular
+from sfmrl.lessons.verify import require_run
+from sfmrl.runs.files import DamagedFile, digest_of, regular
 from sfmrl.runs.folders import WEIGHTS
 
 LARGEST = 2**30  # bytes that an archive may unpack to: a run takes some megabytes
 
 
 @contextmanager
-def runs_in(paths: list[Path]) -> Iterator[dict[str, Path]]:
+def runs_in(paths: list[Path]) -> Iterator[tuple[dict[str, Path], list[Exception]]]:
     """The run folders at the paths by their names: folders themselves, and those in archives (.zip, .tar, .tar.gz ...).
 
-    Raises ConfigError if an archive cannot be unpacked or holds no run.
+    Beside them, the errors about paths where there is no run: ConfigError, DamagedFile, OSError.
     """
     with tempfile.TemporaryDirectory() as name:
-        runs = {}
+        runs: dict[str, Path] = {}
+        errors: list[Exception] = []
         for number, path in enumerate(paths):
-            if path.is_dir() or not path.exists():
-                runs[str(path)] = path
-                continue
-            folder = Path(name) / str(number)
-            _unpack(regular(path), folder)
-            found = sorted(folder.rglob("run.json"))
-            if not found:
-                raise ConfigError(f"{path} holds no run folder; pack one with its run.json")
-            runs |= {f"{path}: {run.parent.relative_to(folder)}": run.parent for run in found}
-        yield runs
+            try:
+                runs |= _runs_at(path, Path(name) / str(number))
+            except (ConfigError, DamagedFile, OSError) as error:
+                errors.append(error)
+        yield runs, errors
+
+
+def _runs_at(path: Path, place: Path) -> dict[str, Path]:
+    """The run folder at a path, or those in the archive there, which is unpacked into the folder `place`."""
+    if path.is_dir() or not path.exists():
+        require_run(path)
+        return {str(path): path}
+    _unpack(regular(path), place)
+    found = sorted(place.rglob("run.json"))
+    if not found:
+        raise ConfigError(f"{path} holds no run folder; pack one with its run.json")
+    return {f"{path}: {run.parent.relative_to(place)}": run.parent for run in found}
 
 
 def same_weights(folders: dict[str, Path]) -> dict[str, str]:

@@ -40,8 +40,7 @@ def verify(
     compute the bits of the run. A reward that is Python code is run only with `trust_reward`, and if it is the file
     that the run was trained with. Raises ConfigError where there is no run folder.
     """
-    if not (folder / "run.json").exists() and not (folder / SUMS).exists():
-        open_run(folder)  # raises ConfigError, which says what it is instead
+    require_run(folder)
     yield _finding(SUMS, _sums, folder)
     try:
         run = open_run(folder)
@@ -64,6 +63,12 @@ def verify(
         yield _finding("demonstrations", rerun.demonstrations, run)
     else:
         yield from _reinforcement(run, rerun)
+
+
+def require_run(folder: Path) -> None:
+    """Raise ConfigError if a folder holds no run, not even a damaged one."""
+    if not (folder / "run.json").exists() and not (folder / SUMS).exists():
+        open_run(folder)  # raises ConfigError, which says what it is instead
 
 
 def _reinforcement(run: Run, rerun: Rerun) -> Iterator[Finding]:

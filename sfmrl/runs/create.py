@@ -57,7 +57,7 @@ def create_run(  # type: ignore[return]  # its loop over count(1) ends by a retu
     """
     check_names(config)
     if go_on and folder is not None and kind_of(folder):
-        return _open_same(folder, kind, config)
+        return open_same(folder, kind, config)
     facts = {
         "kind": kind,
         "variant": variant_name(config),
@@ -137,13 +137,13 @@ def _counts_as_empty(folder: Path) -> bool:
     return bool(listed) and listed <= set(FIRST) and names <= {SUMS, *listed} - {"run.json"}
 
 
-def _open_same(folder: Path, kind: str, config: Config) -> Run:
-    """Open the run in a folder; raises ConfigError, naming a setting, if it has another config."""
+def open_same(folder: Path, kind: str, config: Config, remedy: str = "name another --run") -> Run:
+    """Open the run in a folder; raises ConfigError, naming a setting and the `remedy`, if it has another config."""
     run = open_run(folder, kind)
     for pair in zip(run.config.to_json().split("\n"), config.to_json().split("\n"), strict=True):
         begun, asked = (line.strip(" ,") for line in pair)
         if begun != asked:
-            raise ConfigError(f"{folder} was begun with {begun}, not {asked}; name another --run")
+            raise ConfigError(f"{folder} was begun with {begun}, not {asked}; {remedy}")
     return replace(run, config=config)
 
 

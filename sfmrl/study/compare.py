@@ -10,7 +10,7 @@ from sfmrl.config import ConfigError, counted
 from sfmrl.episodes import Record
 from sfmrl.evaluation import RATES, episode_rows, metrics
 from sfmrl.study.sheets import Sheet, estimate, p_value, rate, rate_interval, seconds
-from sfmrl.study.social import SOCIAL_METRICS, social_metrics, social_values
+from sfmrl.study.social import SOCIAL_METRICS, social_rows, social_values
 from sfmrl.study.statistics import holm, mean_difference, success_difference
 
 LISTED = 20  # differing episodes that the terminal shows; JSON has all
@@ -20,11 +20,11 @@ EXACT_BELOW = 25  # shared successes; with fewer, a t-test alone is too sure of 
 def compare(records: Sequence[Record], policies: Sequence[Policy], names: Sequence[str]) -> dict[str, Any]:
     """Compare the records of policies that played the same test episodes; returns plain values, ready for JSON.
 
-    `policies` holds the metrics of each, and for all but the first `less_first`, the differences from the first: in
-    `success`, in the `navigation_time` (s) of the episodes in which both succeed (None without any), and in the
-    `social` metrics, by episode, of those in which both have a value (None without any). p-values are
-    adjusted by Holm for all policies compared. `differing` lists the episodes in which some policies succeed and some
-    do not. Raises ConfigError unless the episodes are the same.
+    `policies` holds the metrics of each, the `social` ones all as means over episodes (None without any value), and for
+    all but the first `less_first`, the differences from the first: in `success`, in the `navigation_time` (s) of the
+    episodes in which both succeed (None without any), and in the `social` metrics of those in which both have a value
+    (None without any). p-values are adjusted by Holm for all policies compared. `differing` lists the episodes in which
+    some policies succeed and some do not. Raises ConfigError unless the episodes are the same.
     """
     first, *others = records
     if not all(np.array_equal(record.scenes.start, first.scenes.start, equal_nan=True) for record in others):
@@ -34,7 +34,7 @@ def compare(records: Sequence[Record], policies: Sequence[Policy], names: Sequen
         measured = metrics(record, policy)
         compared = ("episodes", *RATES, "intervals", "navigation_time", "total_reward", "recovered")
         figures = {key: measured[key] for key in compared if key in measured}
-        rows.append({"policy": name} | figures | {"social": social_metrics(record)})
+        rows.append({"policy": name} | figures | {"social": _social_means(record)})
     for row, record in zip(rows[1:], others, strict=True):
         row["less_first"] = _difference(record, first)
     for metric in ("success", "navigation_time"):
@@ -56,6 +56,12 @@ def _difference(record: Record, first: Record) -> dict[str, Any]:
         "only_first": only_first,
         "social": _social_differences(record, first),
     }
+
+
+def _social_means(record: Record) -> dict[str, float | None]:
+    """Return a record's social metrics as means over the episodes that have a value, as their differences are."""
+    known = {name: values[~np.isnan(values)] for name, values in social_values(record).items()}
+    return {name: float(values.mean()) if len(values) else None for name, values in known.items()}
 
 
 def _social_differences(record: Record, first: Record) -> dict[str, Any]:
@@ -80,8 +86,12 @@ def _differing(records: Sequence[Record], names: Sequence[str]) -> list[dict[str
 
 
 def comparison_rows(records: Sequence[Record], names: Sequence[str]) -> list[dict[str, Any]]:
-    """Return a line for each episode of each policy, for a CSV file."""
-    return [{"policy": n} | row for n, record in zip(names, records, strict=True) for row in episode_rows(record)]
+    """Return a line for each episode of each policy, with its social metrics, for a CSV file."""
+    return [
+        {"policy": name} | row | social
+        for name, record in zip(names, records, strict=True)
+        for row, social in zip(episode_rows(record), social_rows(record), strict=True)
+    ]
 
 
 def comparison_sheets(comparison: dict[str, Any], title: str) -> list[Sheet]:
@@ -109,7 +119,8 @@ def social_sheet(comparison: dict[str, Any]) -> Sheet:
         cells = {"metric": metric, first["policy"]: "-" if value is None else rate(value)}
         return cells | {name: estimate(gap) for name, gap in gaps.items()}
 
-    title = "How they treat people (sfmrl eval --social says what each is); mean differences with 95 % intervals"
+    title = "How they treat people: means over episodes, and differences with 95 % intervals\n"
+    title += "(sfmrl eval --social says what each is, and has danger over all steps together)"
     return Sheet(title, [line(metric) for metric in SOCIAL_METRICS])
 
 

@@ -11,10 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from sfmrl.config import ConfigError, json_object, suggest
+from sfmrl.config import Config, ConfigError, json_object, override, suggest
+from sfmrl.runs.create import open_same
 from sfmrl.runs.files import read_listed, read_table
 from sfmrl.runs.folders import finished
 from sfmrl.study.jobs import Job
+from sfmrl.variants import make_config
 
 MOST_SEEDS = 1000  # of a table
 VALIDATION_INTERVAL = {"paper": 1000, "quick": 250}  # episodes; the paper's figure has a point every 1000
@@ -81,13 +83,12 @@ def make_jobs(
 
     `episodes` of each training and the `interval` of its validations are by default the table's.
     """
-    table = TABLES[number]
-    length, interval = episodes or table.episodes[preset], interval or VALIDATION_INTERVAL[preset]
-    changes = ["--no-recover", "--validation-interval", str(interval), "--test-best"]
+    schedule = run_config(number, preset, rows[0], seeds[0], episodes, interval).reinforcement
+    changes = ["--no-recover", "--validation-interval", str(schedule.validation_interval), "--test-best"]
     if number == 2:
-        changes += ["--environment", table.environment, "--test-episodes", str(table.test_episodes)]
+        changes += ["--environment", schedule.test_environment, "--test-episodes", str(schedule.test_episodes)]
     if number == 2 or episodes:
-        changes += ["--episodes", str(length)]
+        changes += ["--episodes", str(schedule.episodes)]
     changes += ["--continue", "--threads", "1"]
     jobs = []
     for seed in seeds:
@@ -96,8 +97,25 @@ def make_jobs(
         for row in rows:
             run = run_folder(folder, number, preset, row, seed)
             folders = ("--from", str(source), "--run", str(run))
-            jobs.append(Job(run, ("rl", "--variant", row, *common, *folders, *changes), source, length))
+            jobs.append(Job(run, ("rl", "--variant", row, *common, *folders, *changes), source, schedule.episodes))
     return jobs
+
+
+def run_config(
+    number: int, preset: str, row: str, seed: int, episodes: int | None = None, interval: int | None = None
+) -> Config:
+    """Return the config of a row's training with a seed, which its command in `make_jobs` gives."""
+    table, plain = TABLES[number], make_config(preset, row)
+    schedule = {
+        "episodes": episodes or table.episodes[preset],
+        "validation_interval": interval or VALIDATION_INTERVAL[preset],
+        "test_episodes": table.test_episodes,
+        "test_best": True,
+        # Within table 1, the variant says where to train: sarl-sfm3 in environment 1 alone.
+        "environment": plain.reinforcement.environment if number == 1 else table.environment,
+        "test_environment": table.environment,
+    }
+    return override(plain, {"seed": seed, "planner": {"recover": False}, "reinforcement": schedule})
 
 
 def run_folder(folder: Path, number: int, preset: str, row: str, seed: int) -> Path:
@@ -146,14 +164,30 @@ class Trained:
     steps: np.ndarray  # (S, T) steps that they took
 
 
-def read_row(folder: Path, number: int, preset: str, row: str, seeds: list[int]) -> Trained | None:
-    """Read the finished runs of a row among `seeds`; returns None where there is none.
+def finished_runs(
+    folder: Path, number: int, preset: str, row: str, seeds: list[int], **schedule: int | None
+) -> dict[int, Path]:
+    """Return the folders of a row's finished runs among `seeds`; `schedule` is as for `run_config`.
+
+    Raises ConfigError if a run has other settings than `run_config` gives, DamagedFile if its config.json is damaged.
+    """
+    remedy = "give the --episodes and --validation-interval of its training, or name another --folder"
+    runs = {seed: run_folder(folder, number, preset, row, seed) for seed in seeds}
+    runs = {seed: run for seed, run in runs.items() if finished(run)}
+    for seed, run in runs.items():
+        open_same(run, "rl", run_config(number, preset, row, seed, **schedule), remedy)
+    return runs
+
+
+def read_row(
+    folder: Path, number: int, preset: str, row: str, seeds: list[int], **schedule: int | None
+) -> Trained | None:
+    """Read a row's `finished_runs`; returns None where there is none.
 
     Raises ConfigError where a run cannot be read, or was tested or validated on other episodes than the others;
     DamagedFile where one of its files is not what was written.
     """
-    runs = {seed: run_folder(folder, number, preset, row, seed) for seed in seeds}
-    runs = {seed: run for seed, run in runs.items() if finished(run)}
+    runs = finished_runs(folder, number, preset, row, seeds, **schedule)
     if not runs:
         return None
     folders = list(runs.values())
