@@ -1,12 +1,15 @@
 """Switch off the ingredients of the quick preset one at a time: `python tests/make_ablation.py FOLDER [SEEDS]`.
 
 For each ingredient and seed, a training with the SFM reward is made under FOLDER and tested alone, without recovery.
-The trainings are those of `sfmrl table 1 --rows sarl-sfm2`, with other options; finished ones are kept, so the same
-command goes on after a stop. The figures of every seed go to tutorials/results/ablation.csv, and the means with their
-differences from the whole recipe, paired by seed, to ablation.md.
+The trainings are those of `sfmrl table 1 --rows sarl-sfm2`, with other options. Their figures go to
+tutorials/results/ablation.csv, and the means with their differences from the whole recipe, paired by seed, to
+ablation.md. What is in the CSV file is not trained again, so the same command goes on after a stop: delete the file
+after a change of the recipe.
 """
 
+import csv
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,12 +19,14 @@ from rich.console import Console
 from sfmrl.config import json_object
 from sfmrl.lookahead import available_cores
 from sfmrl.runs.files import csv_text, read_listed
+from sfmrl.runs.folders import finished
 from sfmrl.runs.progress import Interrupted, StopSignal, show_progress
 from sfmrl.study.jobs import Failed, Job, Processes, run_jobs
 from sfmrl.study.sheets import Sheet, estimate, number, rate, seconds
 from sfmrl.study.statistics import mean_difference
 from sfmrl.study.tables import make_jobs, parse_seeds
 
+Run = tuple[int, str, str, str, str]  # a seed, and an entry of INGREDIENTS
 CSV = Path(__file__).parents[1] / "tutorials" / "results" / "ablation.csv"
 # What is switched off: the name of its runs, and the options for both commands, for imitation, for reinforcement.
 INGREDIENTS: dict[str, tuple[str, str, str, str]] = {
@@ -36,6 +41,7 @@ INGREDIENTS: dict[str, tuple[str, str, str, str]] = {
     "learning from returns": ("returns", "", "", "--targets td"),
     "falling share of random actions": ("epsilon", "", "", "--epsilon-start 0.1 --epsilon-end 0.1"),
     "batches of 200": ("batches", "", "--batch-size 100", "--batch-size 100 --batches 12"),
+    "four of these": ("four", "--sparse 0", "", "--no-retry --average 0 --epsilon-start 0.1 --epsilon-end 0.1"),
 }
 FIGURES = ("success", "collision", "timeout", "navigation_time", "total_reward")
 
@@ -53,57 +59,83 @@ def trainings(folder: Path, seed: int, name: str, both: str, il_options: str, rl
     return Job(source, tuple(il_words)), replace(rl, folder=run, words=tuple(rl_words), needs=source)
 
 
-def ablation_lines(folder: Path, seeds: list[int]) -> list[dict]:
-    """The lines of the CSV file: what was switched off, the options, the seed, and the figures of its test."""
-    lines = []
-    for ingredient, (name, *options) in INGREDIENTS.items():
-        for seed in seeds:
-            result = json_object(read_listed(trainings(folder, seed, name, *options)[1].folder / "result.json"))
+def known_lines() -> list[dict]:
+    """The lines of the CSV file, if there is one."""
+    return list(csv.DictReader(CSV.read_text().splitlines())) if CSV.exists() else []
+
+
+def missing(known: list[dict], seeds: list[int]) -> Iterator[tuple[dict, Run]]:
+    """What is not among the `known` lines: the beginning of its line, and its seed and entry of INGREDIENTS."""
+    there = {(line["switched off"], line["options"], str(line["seed"])) for line in known}
+    for seed in seeds:
+        for ingredient, (name, *options) in INGREDIENTS.items():
             given = [f"{command} {o}".strip() for command, o in zip(("", "il", "rl"), options, strict=True) if o]
             line = {"switched off": ingredient, "options": ", ".join(given), "seed": seed}
+            if tuple(map(str, line.values())) not in there:
+                yield line, (seed, name, *options)
+
+
+def new_lines(folder: Path, known: list[dict], seeds: list[int]) -> list[dict]:
+    """Lines of what has been trained since, with the figures of its test."""
+    lines = []
+    for line, run in missing(known, seeds):
+        path = trainings(folder, *run)[1].folder
+        if finished(path):
+            result = json_object(read_listed(path / "result.json"))
             lines.append(line | {figure: result[figure] for figure in FIGURES})
     return lines
 
 
 def ablation_markdown(lines: list[dict]) -> str:
-    """The means over seeds, and their differences from the whole recipe, as tables."""
-    rows: dict[str, list[dict]] = {}
+    """The means over seeds, and their differences from the whole recipe, paired by seed, as tables."""
+    rows: dict[str, dict[int, dict]] = {}  # by ingredient and seed
     for line in lines:
-        rows.setdefault(line["switched off"], []).append(line)
-    of = {name: {f: np.array([float(line[f]) for line in row]) for f in FIGURES} for name, row in rows.items()}
-    whole, means, differences = of["nothing"], [], []
-    for name, figures in of.items():
-        mean = {figure: float(values.mean()) for figure, values in figures.items()}
+        rows.setdefault(line["switched off"], {})[int(line["seed"])] = line
+    whole, means, differences = rows["nothing"], [], []
+
+    def values(row: dict[int, dict], figure: str, seeds: list[int]) -> np.ndarray:
+        return np.array([float(row[seed][figure]) for seed in seeds])
+
+    for name, row in rows.items():
+        of = {figure: values(row, figure, list(row)) for figure in FIGURES}
         means.append(
             {
                 "switched off": name,
-                "success of every seed": " ".join(map(rate, figures["success"])),
-                "mean": rate(mean["success"]),
-                "collisions": rate(mean["collision"]),
-                "time-outs": rate(mean["timeout"]),
-                "nav. time, s": seconds(mean["navigation_time"]),
-                "total reward": number(mean["total_reward"]),
+                "success of every seed": " ".join(map(rate, of["success"])),
+                "mean": rate(of["success"].mean()),
+                "collisions": rate(of["collision"].mean()),
+                "time-outs": rate(of["timeout"].mean()),
+                "nav. time, s": seconds(of["navigation_time"].mean()),
+                "total reward": number(of["total_reward"].mean()),
             }
         )
-        if figures is not whole:
-            line = {"switched off": name, "options": f"`{rows[name][0]['options']}`"}
+        if row is not whole and (both := [seed for seed in row if seed in whole]):
+            line = {"switched off": name, "options": f"`{row[both[0]]['options']}`", "seeds": " ".join(map(str, both))}
             for figure in ("success", "total_reward"):
-                line[figure.replace("_", " ")] = estimate(mean_difference(figures[figure] - whole[figure]))
+                change = values(row, figure, both) - values(whole, figure, both)
+                line[figure.replace("_", " ")] = estimate(mean_difference(change))
             differences.append(line)
     titles = "Test episodes alone, without recovery", "Change from the whole recipe (95 %), paired by seed"
     return "\n".join(Sheet(title, part).markdown() for title, part in zip(titles, (means, differences), strict=True))
 
 
-if __name__ == "__main__":
-    folder, seeds = Path(sys.argv[1]), parse_seeds(sys.argv[2] if len(sys.argv) > 2 else "0-4")
-    jobs = {job.folder: job for s in seeds for what in INGREDIENTS.values() for job in trainings(folder, s, *what)}
+def main(folder: Path, seeds: list[int]) -> None:
+    """Train what is missing, and write both files, also when stopped."""
+    known = known_lines()
+    jobs = {job.folder: job for _, run in missing(known, seeds) for job in trainings(folder, *run)}
+    workers, progress = Processes(available_cores()), show_progress(Console(stderr=True))
     try:
         with StopSignal(print) as stop:
-            run_jobs(
-                list(jobs.values()), Processes(available_cores()), show_progress(Console(stderr=True)), stop, print
-            )
+            run_jobs(list(jobs.values()), workers, progress, stop, print)
     except (Interrupted, Failed) as error:
         sys.exit(f"make_ablation: {error or 'stopped'}; the same command goes on")
-    lines = ablation_lines(folder, seeds)
-    CSV.write_text(csv_text(lines))
-    CSV.with_suffix(".md").write_text(ablation_markdown(lines))
+    finally:
+        order = list(INGREDIENTS)
+        lines = known + new_lines(folder, known, seeds)
+        lines.sort(key=lambda line: (order.index(line["switched off"]), int(line["seed"])))
+        CSV.write_text(csv_text(lines))
+        CSV.with_suffix(".md").write_text(ablation_markdown(lines))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), parse_seeds(sys.argv[2] if len(sys.argv) > 2 else "0-4"))

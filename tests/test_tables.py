@@ -424,7 +424,7 @@ def test_the_ablation_changes_one_thing_at_a_time_and_pairs_seeds(tmp_path):
     for (name, both, il_options, rl_options), (its_il, its_rl) in zip(options, others, strict=True):
         assert its_rl.folder.name == f"{name}-seed3"
         assert its_rl.needs == its_il.folder
-        assert " ".join(its_rl.words).endswith(f"{both}{rl_options}")
+        assert " ".join(its_rl.words).endswith(f"{both} {rl_options}".strip())
         assert (its_il == il) == (not both and not il_options)
     lines = [
         {"switched off": what, "options": "--x", "seed": seed, **dict.fromkeys(make_ablation.FIGURES, value)}
@@ -433,4 +433,4 @@ def test_the_ablation_changes_one_thing_at_a_time_and_pairs_seeds(tmp_path):
     ]
     low, high = scipy.stats.t.interval(0.95, 2, -0.2 / 3, scipy.stats.sem([-0.1, 0, -0.1]))
     change = f"-.067 ({rate(low)} to {rate(high)})"
-    assert f"| this | `--x` | {change} | {change} |" in make_ablation.ablation_markdown(lines)
+    assert f"| this | `--x` | 0 1 2 | {change} | {change} |" in make_ablation.ablation_markdown(lines)
