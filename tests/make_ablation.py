@@ -111,9 +111,9 @@ def ablation_markdown(lines: list[dict]) -> str:
         )
         if row is not whole and (both := [seed for seed in row if seed in whole]):
             line = {"switched off": name, "options": f"`{row[both[0]]['options']}`", "seeds": " ".join(map(str, both))}
-            for figure in ("success", "total_reward"):
+            for figure, form in (("success", rate), ("navigation_time", seconds), ("total_reward", rate)):
                 change = values(row, figure, both) - values(whole, figure, both)
-                line[figure.replace("_", " ")] = estimate(mean_difference(change))
+                line[figure.replace("_", " ")] = estimate(mean_difference(change), form)
             differences.append(line)
     titles = "Test episodes alone, without recovery", "Change from the whole recipe (95 %), paired by seed"
     return "\n".join(Sheet(title, part).markdown() for title, part in zip(titles, (means, differences), strict=True))
@@ -134,7 +134,8 @@ def main(folder: Path, seeds: list[int]) -> None:
         lines = known + new_lines(folder, known, seeds)
         lines.sort(key=lambda line: (order.index(line["switched off"]), int(line["seed"])))
         CSV.write_text(csv_text(lines))
-        CSV.with_suffix(".md").write_text(ablation_markdown(lines))
+        if lines and lines[0]["switched off"] == "nothing":
+            CSV.with_suffix(".md").write_text(ablation_markdown(lines))
 
 
 if __name__ == "__main__":

@@ -433,4 +433,5 @@ def test_the_ablation_changes_one_thing_at_a_time_and_pairs_seeds(tmp_path):
     ]
     low, high = scipy.stats.t.interval(0.95, 2, -0.2 / 3, scipy.stats.sem([-0.1, 0, -0.1]))
     change = f"-.067 ({rate(low)} to {rate(high)})"
-    assert f"| this | `--x` | 0 1 2 | {change} | {change} |" in make_ablation.ablation_markdown(lines)
+    late = f"-0.07 ({low:.2f} to {high:.2f})"
+    assert f"| this | `--x` | 0 1 2 | {change} | {late} | {change} |" in make_ablation.ablation_markdown(lines)
