@@ -1,9 +1,9 @@
 """Train and test everything that the project reports: `python tests/make_all.py FOLDER`.
 
-It takes days of two cores, and can be stopped: the same command goes on. What is finished stays in FOLDER; begin with
-an empty one after a change of the recipe. Figures go to tutorials/results/, networks to sfmrl/models/, output to the
-pages. Read what has changed (git diff), and correct the text around it, also in README.md, tutorials/results.md and
-tutorials/tables.md.
+It takes days of two cores, and can be stopped: the same command goes on. What is finished stays in FOLDER. After a
+change of the recipe, begin with an empty FOLDER, and delete the files in tutorials/results/. Figures go there, networks
+to sfmrl/models/, output to the pages. Read what has changed (git diff), and correct the text around it, also in
+README.md, tutorials/results.md and tutorials/tables.md.
 """
 
 import shlex
@@ -13,33 +13,26 @@ from pathlib import Path
 
 RUN = [sys.executable, "-m", "sfmrl"]
 COMMANDS = """
-sfmrl table 1 --folder FOLDER --csv RESULTS/table1-quick.csv --overwrite
-sfmrl figure 1 --folder FOLDER --csv RESULTS/figure1-quick.csv --overwrite
-sfmrl table 2 --folder FOLDER --csv RESULTS/table2-quick.csv --overwrite
+sfmrl table 1 --folder FOLDER
+sfmrl table 2 --folder FOLDER
 sfmrl il --kinematics unicycle --run FOLDER/turning-il --continue
 sfmrl rl --kinematics unicycle --reward sfm --from FOLDER/turning-il --run FOLDER/turning --continue
 python TESTS/make_models.py FOLDER 0-9
 python TESTS/make_models.py unicycle FOLDER/turning
 python TESTS/make_ablation.py FOLDER 0-4
 python TESTS/make_crowds.py
-sfmrl table 1 CLAIM --episodes 3000 --validation-interval 500 --csv RESULTS/table1-early.csv --overwrite
-sfmrl figure 1 CLAIM --csv RESULTS/figure1-early.csv --overwrite
-python TESTS/make_tables.py
+sfmrl table 1 --preset paper --folder FOLDER/early ROWS --seeds 0-4 --episodes 3000 --validation-interval 500
+sfmrl table 1 --preset paper --folder FOLDER/paper ROWS --seeds 0-2
+python TESTS/make_tables.py FOLDER
 python TESTS/make_pages.py
 """
-# The rows and seeds that tell what holds of the paper's claims on early training, under its own schedule.
-CLAIM = "--preset paper --rows sarl,sarl-sfm2,sarl-sfm5,sarl-sfm6 --seeds 0-4 --folder FOLDER/paper"
+# These tell what holds of the paper's claims, under its own schedule.
+ROWS = "--rows sarl,sarl-sfm2,sarl-sfm5,sarl-sfm6"
 
 
 def main(folder: str) -> None:
     """Run all commands in turn, until one fails."""
-    here = Path(__file__).parent
-    places = {
-        "CLAIM": CLAIM,
-        "FOLDER": folder,
-        "RESULTS": str(here.parent / "tutorials" / "results"),
-        "TESTS": str(here),
-    }
+    places = {"FOLDER": shlex.quote(folder), "TESTS": shlex.quote(str(Path(__file__).parent)), "ROWS": ROWS}
     for command in COMMANDS.strip().splitlines():
         for name, place in places.items():
             command = command.replace(name, place)

@@ -4,6 +4,7 @@ import csv
 import json
 import re
 import shlex
+import shutil
 import sys
 from pathlib import Path
 
@@ -301,7 +302,7 @@ def test_rates_are_written_without_their_zero():
     assert [rate(x) for x in (0.9, 1.0, -0.05, 0.0, -0.0001, None)] == [".900", "1.000", "-.050", ".000", "-.000", "-"]
 
 
-@pytest.mark.parametrize("path", sorted(make_tables.FOLDER.glob("*.[mc][ds]*")), ids=lambda path: path.name)
+@pytest.mark.parametrize("path", sorted(make_tables.RESULTS.glob("*.[mc][ds]*")), ids=lambda path: path.name)
 def test_the_results_on_show_follow_from_their_values_of_every_seed(path):
     parts = [re.split(r"([-\d.e+]*\d)", text) for text in (path.read_text(), make_tables.texts()[path])]
     assert parts[0][::2] == parts[1][::2]
@@ -435,3 +436,26 @@ def test_the_ablation_changes_one_thing_at_a_time_and_pairs_seeds(tmp_path):
     change = f"-.067 ({rate(low)} to {rate(high)})"
     late = f"-0.07 ({low:.2f} to {high:.2f})"
     assert f"| this | `--x` | 0 1 2 | {change} | {late} | {change} |" in make_ablation.ablation_markdown(lines)
+
+
+def test_results_grow_by_the_runs_of_a_folder_and_keep_what_they_had(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(make_tables, "RESULTS", tmp_path)
+    for name in ("make_ablation", "make_crowds"):
+        monkeypatch.setattr(f"{name}.CSV", tmp_path / "none.csv")
+    first = make_tables.texts(folder)
+    assert {path.name for path in first} == {"table1-quick.csv", "table1-quick.md", "figure1-quick.csv"}
+    for path, text in first.items():
+        path.write_text(text)
+    assert make_tables.texts()[tmp_path / "figure1-quick.csv"] == first[tmp_path / "figure1-quick.csv"]
+    for seed in (0, 1, 2):
+        shutil.rmtree(run_folder(folder, 1, "quick", "sarl", seed))  # but what they gave is in the CSV file
+    write_run(folder, "sarl", 4, 0.9)
+    grown = make_tables.read_figures(tmp_path / "table1-quick.csv", 50)["sarl"].values["success"].tolist()
+    for path, text in make_tables.texts(folder).items():
+        path.write_text(text)
+    sarl = make_tables.read_figures(tmp_path / "table1-quick.csv", 50)["sarl"]
+    assert (sarl.seeds, sarl.values["success"].tolist()) == ([0, 1, 2, 3, 4], [*grown, 0.9])
+    course = make_tables.read_courses(tmp_path / "figure1-quick.csv")
+    assert {name: row.seeds for name, row in course.items()} == {
+        "sarl": [0, 1, 2, 3, 4], "sarl-sfm2": [0, 1, 2, 3], "sarl-sfm5": [0, 1, 2, 3], "sarl-sfm6": [0, 1, 2]
+    }  # fmt: skip
