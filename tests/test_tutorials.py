@@ -152,5 +152,6 @@ def test_elsewhere_words_are_the_same_and_numbers_are_near(shown, printed, right
 
 
 @pytest.mark.parametrize("table", sorted((ROOT / "tutorials" / "results").glob("*.md")), ids=lambda path: path.stem)
-def test_the_page_of_tables_shows_the_results_as_they_were_written(table):
-    assert table.read_text(encoding="utf-8").strip() in (ROOT / "tutorials" / "tables.md").read_text(encoding="utf-8")
+def test_a_page_shows_the_results_as_they_were_written(table):
+    pages = [(ROOT / "tutorials" / name).read_text(encoding="utf-8") for name in ("tables.md", "results.md")]
+    assert any(table.read_text(encoding="utf-8").strip() in page for page in pages)
