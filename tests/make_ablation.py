@@ -47,7 +47,7 @@ FIGURES = ("success", "collision", "timeout", "navigation_time", "total_reward")
 
 
 def trainings(folder: Path, seed: int, name: str, both: str, il_options: str, rl_options: str) -> tuple[Job, Job]:
-    """Imitation, the whole recipe's if its options are, and reinforcement."""
+    """The imitation, which is the whole recipe's if its options are, and the reinforcement."""
     il, rl = make_jobs(1, "quick", [seed], ["sarl-sfm2"], folder)
     if name == "whole":
         return il, rl
@@ -59,9 +59,9 @@ def trainings(folder: Path, seed: int, name: str, both: str, il_options: str, rl
     return Job(source, tuple(il_words)), replace(rl, folder=run, words=tuple(rl_words), needs=source)
 
 
-def known_lines() -> list[dict]:
-    """The lines of the CSV file, if there is one."""
-    return list(csv.DictReader(CSV.read_text().splitlines())) if CSV.exists() else []
+def read_csv(path: Path) -> list[dict[str, str]]:
+    """The lines of a CSV file, none if it does not exist."""
+    return list(csv.DictReader(path.read_text().splitlines())) if path.exists() else []
 
 
 def missing(known: list[dict], seeds: list[int]) -> Iterator[tuple[dict, Run]]:
@@ -121,7 +121,7 @@ def ablation_markdown(lines: list[dict]) -> str:
 
 def main(folder: Path, seeds: list[int]) -> None:
     """Train what is missing, and write both files, also when stopped."""
-    known = known_lines()
+    known = read_csv(CSV)
     jobs = {job.folder: job for _, run in missing(known, seeds) for job in trainings(folder, *run)}
     workers, progress = Processes(available_cores()), show_progress(Console(stderr=True))
     try:

@@ -5,11 +5,12 @@ among other crowds. It is written as soon as it is known, and kept until the net
 command goes on after a stop. The rates also go to crowds.md.
 """
 
-import csv
 import json
 import subprocess
 import sys
 from pathlib import Path
+
+from make_ablation import read_csv
 
 from sfmrl.runs.files import csv_text
 from sfmrl.runs.weights import MODELS
@@ -54,8 +55,7 @@ def crowds_markdown(lines: list[dict]) -> str:
 def main() -> None:
     """Make the tests that are missing, and write both files."""
     digests = {name: json.loads((MODELS / f"{name}.json").read_text())["sha256"] for name in NETWORKS}
-    known = list(csv.DictReader(CSV.read_text().splitlines())) if CSV.exists() else []
-    lines = [line for line in known if digests.get(line["network"]) == line["sha256"]]
+    lines = [line for line in read_csv(CSV) if digests.get(line["network"]) == line["sha256"]]
     for network, options in tests():
         if (network, options) not in {(line["network"], line["options"]) for line in lines}:
             words = [sys.executable, "-m", "sfmrl", "eval", network, *options.split(), "--json"]

@@ -5,7 +5,6 @@ them. The finished runs under FOLDER, as `make_all.py` trains them, are added, s
 sittings: delete its CSV files after a change of the recipe.
 """
 
-import csv
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 import make_ablation
 import make_crowds
 import numpy as np
-from make_ablation import ablation_markdown
+from make_ablation import ablation_markdown, read_csv
 from make_crowds import crowds_markdown
 
 from sfmrl.runs.files import csv_text
@@ -34,11 +33,6 @@ KINDS: dict[str, tuple[int, str, str, str, dict[str, int]]] = {
     "1-early": (1, "paper", "paper preset, its first 3,000 episodes", "early", {"episodes": 3000, "interval": 500}),
     "2-quick": (2, "quick", "quick preset", ".", {}),
 }
-
-
-def read_csv(path: Path) -> list[dict[str, str]]:
-    """The lines of a CSV file, none if it does not exist."""
-    return list(csv.DictReader(path.read_text().splitlines())) if path.exists() else []
 
 
 def read_figures(path: Path, test_episodes: int) -> dict[str, Figures]:
@@ -99,11 +93,8 @@ def texts(folder: Path | None = None) -> dict[Path, str]:
     """All Markdown and CSV files of the results, with what has been trained under `folder`."""
     made = {}
     for kind, (number, preset, title, place, schedule) in KINDS.items():
-        path, course, episodes = (
-            RESULTS / f"table{kind}.csv",
-            RESULTS / f"figure{kind}.csv",
-            TABLES[number].test_episodes,
-        )
+        path, course = RESULTS / f"table{kind}.csv", RESULTS / f"figure{kind}.csv"
+        episodes = TABLES[number].test_episodes
         found = {}
         if folder:
             read = {
