@@ -173,16 +173,13 @@ class Reinforcement(Settings):
         "returns, the rewards up to the next random action plus the target network's value there (Watkins, 1989)",
         choices=("td", "returns"),
     )
-    retry: bool = knob(False, "play up to half of each round in scenes where the robot failed at its last try (ours)")
     target_interval: int = knob(50, "episodes between updates of the target network (CrowdNav)", 1, 10_000_000)
     memory: int = knob(100_000, "states kept to learn from (CrowdNav)", 1, 10_000_000)
-    average: int = knob(0, "batches over which the tested weights are averaged (Polyak, 1992); 0: off", 0, 10_000_000)
     environment: str = knob("table1", "environments to train in, and their shares")
     test_environment: str = knob("table1", "environments of validation and test; --environment alone sets both")
     validation_interval: int = knob(1000, "episodes between validations", 1, 10_000_000)
     validation_episodes: int = knob(100, "episodes of a validation", 1, EPISODES)
     test_episodes: int = knob(500, "episodes of the final test", 1, EPISODES)
-    test_best: bool = knob(False, "test the weights of the best validation as well as the last")
 
 
 @dataclass(frozen=True)
@@ -201,7 +198,6 @@ class Config(Settings):
     )
     optimizer: str = knob("sgd", "sgd with momentum 0.9, or adam with a rate that falls to 0", choices=("sgd", "adam"))
     mirror: bool = knob(False, "mirror half of each batch left to right, which changes no state's value (ours)")
-    sparse: float = knob(0.0, "share of the training episodes with at most three people and squares (ours)", 0, 1)
     simulation: Simulation = field(default_factory=Simulation)
     reward: Reward = field(default_factory=Reward)
     planner: Planner = field(default_factory=Planner)
@@ -222,13 +218,13 @@ class Config(Settings):
         """The config that `to_json` wrote, its reward `Untrusted`; raises ValueError on anything else."""
         changes = json_object(text)
         if RETIRED & set(changes):
-            raise ConfigError("it was made by version 0.1 or 0.2 of sfmrl; install that version to play it")
+            raise ConfigError("it was made by an earlier version of sfmrl; install that version to play it")
         config = override(Config(), changes)
         return override(config, {"reward": {"reward": Untrusted(config.reward.reward)}})
 
 
-# Settings of earlier versions. A network of theirs was trained among squares that are discs, and plays worse now.
-RETIRED = {"shaping", "precision", "collision_ends", "avoid_traps"}
+# Settings of earlier versions, whose networks were trained otherwise, most among squares that are discs.
+RETIRED = {"shaping", "precision", "collision_ends", "avoid_traps", "sparse"}
 
 
 def override(config: Any, changes: Mapping[str, Any]) -> Any:

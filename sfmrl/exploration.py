@@ -16,24 +16,17 @@ from sfmrl.config import Config, Reinforcement
 from sfmrl.episodes import Record, play_episodes, returns_of
 from sfmrl.learning import Learner
 from sfmrl.lookahead import SarlPolicy, step_discount
-from sfmrl.scenes import generator, sample_scenes, thinned
+from sfmrl.scenes import generator, sample_scenes
 from sfmrl.world import World
 
 Explored = tuple[Record, np.ndarray]  # E episodes, and which of their steps (E, T) were random
 
 
-def explore(
-    policy: SarlPolicy, config: Config, episodes: Sequence[int], numbers: Sequence[int] | None = None
-) -> Explored:
-    """Play training episodes epsilon-greedily; returns their record, and which steps (E, T) were random.
-
-    `numbers` are those of the scenes to play in, by default the episodes' own; the random actions follow from
-    `episodes` in any scene.
-    """
+def explore(policy: SarlPolicy, config: Config, episodes: Sequence[int]) -> Explored:
+    """Play training episodes epsilon-greedily; returns their record, and which steps (E, T) were random."""
     settings = config.reinforcement
     how: dict[str, Any] = {"phase": "train", "random_attributes": config.simulation.random_attributes}
-    scenes = sample_scenes(settings.environment, episodes if numbers is None else numbers, config.seed, **how)
-    scenes = thinned(scenes, config.sparse, config.seed)
+    scenes = sample_scenes(settings.environment, episodes, config.seed, **how)
     longest = config.simulation.longest
     rngs = [generator(config.seed, "exploration", episode) for episode in episodes]
     random_steps = np.array([rng.random(longest) for rng in rngs]) < epsilon(settings, np.array(episodes))[:, None]
@@ -58,9 +51,8 @@ def epsilon(settings: Reinforcement, episode: np.ndarray) -> np.ndarray:
 
 
 def remember(learner: Learner, record: Record, random_steps: np.ndarray) -> None:
-    """Store the states of a record with the values to learn for them, and note the scenes in which the robot failed."""
+    """Store the states of a record with the values to learn for them."""
     config, one_step = learner.config, learner.config.reinforcement.targets == "td"
-    learner.note_failures(record.scenes.episode, record.outcome)
     kept = record.outcome != "timeout" if one_step else np.ones(len(record.steps), dtype=bool)
     record, random_steps = record.take(kept), random_steps[kept]
     states, played = record.states(config), record.played

@@ -15,7 +15,7 @@ from sfmrl.learning import Memory, Resumable, checked_mean_loss, learn
 from sfmrl.lookahead import step_discount
 from sfmrl.policies import orca_policy
 from sfmrl.rewards import reward_terms
-from sfmrl.scenes import elements_of, generator, sample_scenes, thinned
+from sfmrl.scenes import elements_of, generator, sample_scenes
 
 
 def demonstrate(config: Config, progress: Callable[[int], None] = lambda ended: None) -> Record:
@@ -23,7 +23,6 @@ def demonstrate(config: Config, progress: Callable[[int], None] = lambda ended: 
     settings = config.imitation
     how: dict[str, Any] = {"phase": "imitation", "random_attributes": config.simulation.random_attributes}
     scenes = sample_scenes(settings.environment, settings.episodes, config.seed, **how)
-    scenes = thinned(scenes, config.sparse, config.seed)
     return play_episodes(scenes, orca_policy, config.reward, config.simulation, progress=progress)
 
 

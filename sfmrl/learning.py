@@ -110,30 +110,22 @@ class Learner(Resumable):
     network: what is trained
     actor: what explores: the network or, in rounds of several episodes, a copy from before the latest batches
     target: a copy that is renewed at intervals, for the values to learn
-    average: the mean of the network over the last batches (Polyak and Juditsky, 1992)
     episode, batch: how many have been learnt from
-    failed: scenes in which the robot failed at its last try, each with the number of the episode after that round
     rows, validations: the lines of metrics.csv and validation.csv
     """
 
-    parts = ("network", "actor", "target", "average", "optimizer", "memory")
-    counters = ("episode", "batch", "failed", "rows", "validations")
+    parts = ("network", "actor", "target", "optimizer", "memory")
+    counters = ("episode", "batch", "rows", "validations")
 
     def __init__(self, network: FastNetwork, memory: Memory, config: Config) -> None:
         self.config, self.memory, self.network = config, memory, network
-        self.target, self.average = network.copy(), network.copy()
+        self.target = network.copy()
         self.actor = network.copy() if config.reinforcement.parallel > 1 else network
         self.optimizer = OPTIMIZERS[config.optimizer](network)
         self.rng = generator(config.seed, "batches")
         self.episode = self.batch = 0
-        self.failed: list[list[int]] = []
         self.rows: list[dict[str, Any]] = []
         self.validations: list[dict[str, Any]] = []
-
-    @property
-    def tested(self) -> FastNetwork:
-        """The network that validation and test use."""
-        return self.average if self.config.reinforcement.average else self.network
 
     def learn(self, batches: int) -> float:
         """Run `batches` steps of descent on the memory; returns their mean loss, NaN without any."""
@@ -148,8 +140,6 @@ class Learner(Resumable):
         for rows in draws:
             rate = self.optimizer.rate(settings.learning_rate, self.batch / (settings.episodes * settings.batches))
             losses.append(learn(self.network, self.optimizer, rate, *self.memory.take(rows)))
-            if settings.average:
-                self.average.flat += np.float32(1 / settings.average) * (self.network.flat - self.average.flat)
             self.batch += 1
         return checked_mean_loss(losses, self.optimizer, settings)
 
@@ -160,22 +150,6 @@ class Learner(Resumable):
         self.episode += episodes
         if renew:
             self.target.flat[:] = self.network.flat
-
-    def scenes_for(self, episodes: range) -> list[int]:
-        """The numbers of the scenes in which to play the next episodes.
-
-        They are the episodes' own; with `retry`, up to half of them are scenes of earlier failures. Failures of the
-        previous round wait for one more, since that round may be learnt from at the same time.
-        """
-        earlier = [scene for scene, after in self.failed if after < episodes.start]
-        again = earlier[: len(episodes) // 2] if self.config.reinforcement.retry else []
-        return [*again, *episodes[len(again) :]]
-
-    def note_failures(self, scenes: np.ndarray, outcome: np.ndarray) -> None:
-        """Update the failed scenes, oldest first, with the scenes (E,) just played and their outcomes (E,)."""
-        tried, following = set(scenes.tolist()), self.episode + len(scenes)
-        self.failed = [pair for pair in self.failed if pair[0] not in tried]
-        self.failed += [[scene, following] for scene in scenes[outcome != "success"].tolist()]
 
     def renew_actor(self) -> None:
         """Copy the network as it is now to the actor, which plays the next round."""

@@ -15,16 +15,15 @@ def reinforce(
 ) -> Iterator[tuple[Record, float]]:
     """Train up to episode `until`; after each round of episodes, yield their record and the mean loss.
 
-    `start_exploring(network, episodes, scenes)` starts to `explore` and returns a function that waits for the result. A
-    round of several episodes can be played on a second process while the batches of the previous round are learnt: it
-    is played with a copy of the network, the actor, so the numbers do not depend on which ends first. A round of one
+    `start_exploring(network, episodes)` starts to `explore` and returns a function that waits for the result. A round
+    of several episodes can be played on a second process while the batches of the previous round are learnt: it is
+    played with a copy of the network, the actor, so the numbers do not depend on which ends first. A round of one
     episode is played when its result is asked for, with the network as it is by then.
     """
     settings = learner.config.reinforcement
 
     def start_round(first: int) -> Callable[[], Explored]:
-        episodes = range(first, min(first + settings.parallel, until))
-        return start_exploring(learner.actor, episodes, learner.scenes_for(episodes))
+        return start_exploring(learner.actor, range(first, min(first + settings.parallel, until)))
 
     finish_round = start_round(learner.episode)
     while learner.episode < until:

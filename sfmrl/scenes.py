@@ -6,7 +6,7 @@ sampled with it, and training, validation and test never share one. Drawings are
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cache
 from numbers import Integral
 from typing import TYPE_CHECKING, Any, cast
@@ -32,7 +32,7 @@ ENVIRONMENTS = {
 }
 DRAWN = "map:"  # begins the name of an environment that is a drawing, its lines joined by "/"
 PHASES = ("train", "validation", "test", "imitation")
-STREAMS = (*PHASES, "fit", "batches", "exploration", "sparse")  # all uses of random numbers; the index is a seed
+STREAMS = (*PHASES, "fit", "batches", "exploration")  # all uses of random numbers; the index is a seed
 
 
 @dataclass(frozen=True, repr=False)
@@ -171,17 +171,6 @@ def _numbers(episodes: int | Sequence[int]) -> np.ndarray:
     if not np.issubdtype(numbers.dtype, np.integer) or numbers.ndim > 1 or (numbers < 0).any():
         raise ConfigError(f"episodes is {episodes!r}; it takes how many, or their numbers, counted from 0")
     return np.arange(numbers.item()) if numbers.ndim == 0 else numbers
-
-
-def thinned(scenes: Scenes, share: float, seed: int) -> Scenes:
-    """The scenes, a `share` of them (chosen by episode) with only none to three of their people and squares."""
-    start, square = scenes.start.copy(), scenes.square.copy()
-    for e, rng in enumerate(generator(seed, "sparse", number) for number in scenes.episode):
-        if rng.random() < share:
-            present = 1 + np.flatnonzero(~np.isnan(start[e, 1:, 0]))
-            removed = rng.permutation(present)[rng.integers(4) :]
-            start[e, removed], square[e, removed] = np.nan, False
-    return replace(scenes, start=start, square=square)
 
 
 def parse_mix(environment: str | int) -> dict[str, float]:

@@ -15,7 +15,6 @@ PRESETS: dict[str, dict[str, Any]] = {
         "optimizer": "adam",
         "careful": True,
         "mirror": True,
-        "sparse": 0.1,
         "planner": {"recover": True},
         "imitation": {"episodes": 1000, "epochs": 6, "batch_size": 200, "learning_rate": 2e-3, "refit": False},
         "reinforcement": {
@@ -28,8 +27,6 @@ PRESETS: dict[str, dict[str, Any]] = {
             "epsilon_end": 0.05,
             "epsilon_episodes": 500,
             "targets": "returns",
-            "retry": True,
-            "average": 300,
         },
     },
 }

@@ -155,7 +155,7 @@ def test_a_network_of_crowdnav_s_is_trained_on_from_its_file(sfmrl: Call, tmp_pa
     path = tmp_path / "il_model.pth"
     torch.save(network.state_dict(), path)
     short = [*TINY_RL, "--environment", "5", "--time-limit", "4", "--learning-rate", "0", "--no-recover"]
-    short += ["--average", "0", "--run", "mine"]
+    short += ["--run", "mine"]
     assert_one_line_error(sfmrl("rl", "--from", path, "--forces", *short), "reads 13 columns, this training 17")
     done = sfmrl("rl", "--from", path, *short)  # on a process of its own, too, since the preset says overlap
     assert done.returncode == 0, done.stderr

@@ -16,5 +16,5 @@ def test_a_config_comes_back_from_its_json():
 @pytest.mark.parametrize("setting", [{"shaping": "none"}, {"avoid_traps": True}])
 def test_a_config_of_an_earlier_version_is_refused_with_the_version_that_plays_it(setting):
     older = json.loads(Config().to_json()) | setting
-    with pytest.raises(ConfigError, match=r"made by version 0.1 or 0.2 of sfmrl; install that version"):
+    with pytest.raises(ConfigError, match=r"made by an earlier version of sfmrl; install that version"):
         Config.from_json(json.dumps(older))

@@ -34,7 +34,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs os.fork")
 
 IL = "il --episodes 3 --epochs 3 --batch-size 40 --time-limit 12 --run il --continue"
 RL = "rl --from il --map lane.txt --reward sfm --time-limit 12 --threads 1 --no-recover --episodes 4 --parallel 2"
-RL += " --batches 1 --batch-size 10 --validation-interval 2 --validation-episodes 1 --test-episodes 2 --test-best"
+RL += " --batches 1 --batch-size 10 --validation-interval 2 --validation-episodes 1 --test-episodes 2"
 RL += " --run rl --continue"
 WRITING = os.O_WRONLY | os.O_RDWR
 
@@ -300,7 +300,7 @@ def test_no_flipped_bit_in_a_run_s_files_goes_unnoticed(laid_out, name):
         list(verify(run, 1, None, 1, no_progress))  # to its end
 
 
-@pytest.mark.parametrize("name", [name for name in TABLES if name != "test-best.csv"])
+@pytest.mark.parametrize("name", TABLES)
 def test_flipped_bits_in_a_run_of_an_earlier_version_are_no_traceback(laid_out, name, tmp_path):
     """Such runs list no table in SHA256SUMS. They are read as they are, but `verify` refuses their tables."""
     shutil.copytree(run_folder(laid_out[0], 1, "quick", "sarl", 0), run_folder(tmp_path, 1, "quick", "sarl", 0))

@@ -237,18 +237,6 @@ def test_the_target_network_is_renewed_at_its_interval_whatever_is_played_side_b
     assert learner.episode == 64
 
 
-def test_the_average_follows_the_network_and_is_what_is_tested():
-    config = tiny_config(average=4, learning_rate=0.1)
-    learner = Learner(plain_network(), make_memory(config), config)
-    learner.memory.push(*random_batch(1, count=20))
-    before = learner.network.flat.copy()
-    learner.learn(1)
-    assert (learner.network.flat != before).any()
-    np.testing.assert_allclose(learner.average.flat, 0.75 * before + 0.25 * learner.network.flat, rtol=1e-6, atol=1e-8)
-    assert learner.tested is learner.average
-    assert Learner(plain_network(), learner.memory, tiny_config()).tested is not learner.average
-
-
 def test_validations_are_due_at_their_interval_once_and_at_the_end():
     config = tiny_config(validation_interval=20, episodes=50)
     learner = Learner(plain_network(), make_memory(config), config)
@@ -289,7 +277,6 @@ def test_time_outs_alone_leave_the_memory_empty_and_nothing_to_learn():
     late = record.outcome == "timeout"
     remember(learner, record.take(late), random_steps[late])
     assert len(learner.memory) == 0
-    assert learner.failed
     before = learner.network.flat.copy()
     assert math.isnan(learner.learn(3))
     np.testing.assert_array_equal(learner.network.flat, before)
@@ -318,23 +305,6 @@ def test_imitation_improves_on_the_untrained_network():
     fitted = evaluate(SarlPolicy(fit.network, config), **task)
     untrained = evaluate(SarlPolicy(Fit(config).network, config), **task)
     assert fitted["success"] >= untrained["success"] + 0.5
-
-
-def test_failed_scenes_are_tried_again_once_they_have_been_learnt_from_until_they_succeed():
-    config = tiny_config(retry=True)
-    learner = Learner(plain_network(), make_memory(config), config)
-    learner.note_failures(np.arange(8), np.array(["timeout", "success", "collision", *["success"] * 5]))
-    assert learner.scenes_for(range(8, 16)) == [*range(8, 16)]  # being learnt from while these are played
-    learner.advance(8)
-    learner.note_failures(np.arange(8, 16), np.array(["collision"] * 6 + ["success"] * 2))
-    assert learner.scenes_for(range(16, 20)) == [0, 2, 18, 19]
-    learner.advance(8)
-    learner.note_failures(np.array([0, 2, 18, 19]), np.array(["success", "timeout", "success", "success"]))
-    learner.advance(4)
-    assert learner.scenes_for(range(24, 40)) == [8, 9, 10, 11, 12, 13, 2, *range(31, 40)]
-    without = Learner(plain_network(), make_memory(config), tiny_config())
-    without.note_failures(np.arange(4), np.array(["timeout"] * 4))
-    assert without.scenes_for(range(8, 12)) == [8, 9, 10, 11]
 
 
 def test_the_paper_s_preset_fits_every_reward_and_quick_only_another_state():

@@ -268,7 +268,7 @@ def test_a_training_that_diverges_stops_and_names_its_learning_rate(whole, tmp_p
     assert not finished(run.folder)
     assert all(np.isfinite(value).all() for value in run.load_checkpoint()["fit"]["network"].values())
     reinforcement = {"episodes": 20, "parallel": 5, "learning_rate": 1000.0}
-    reinforcement |= {"validation_episodes": 1, "environment": "5", "test_environment": "5", "average": 0}
+    reinforcement |= {"validation_episodes": 1, "environment": "5", "test_environment": "5"}
     run = start_run(override(TINY, {"optimizer": "sgd", "reinforcement": reinforcement}), whole, False, tmp_path / "rl")
     monkeypatch.setattr("sfmrl.runs.training.CHECKPOINT_EVERY", 0.0)
     with pytest.raises(ConfigError, match="learning-rate 1000 is likely too high for SGD"):

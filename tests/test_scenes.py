@@ -11,7 +11,7 @@ from scipy.stats import binomtest, ks_2samp
 
 from sfmrl.config import ConfigError
 from sfmrl.geometry import length
-from sfmrl.scenes import ENVIRONMENTS, Scenes, parse_mix, sample_scenes, thinned
+from sfmrl.scenes import ENVIRONMENTS, Scenes, parse_mix, sample_scenes
 
 EPISODES = 300
 PAPER = ("1", "2", "3", "4", "5")
@@ -410,17 +410,3 @@ def test_a_row_without_a_start_is_absent():
     half = START.copy()
     half[:, 1, 1] = np.nan  # one coordinate is as good as none
     assert np.isnan(Scenes(half, GOAL).start[:, 1]).all()
-
-
-def test_thinned_scenes_keep_none_to_three_of_their_elements_as_they_were():
-    whole = sample_scenes("table1", 400)
-    thin = thinned(whole, 0.5, seed=3)
-    before, after = (~np.isnan(scenes.start[:, 1:, 0]) for scenes in (whole, thin))
-    changed = (before != after).any(1)
-    assert 0.4 < changed.mean() < 0.6
-    np.testing.assert_array_equal(np.unique(after[changed].sum(1)), [0, 1, 2, 3])
-    assert not (after & ~before).any()
-    np.testing.assert_array_equal(thin.start[:, 1:][after], whole.start[:, 1:][after])
-    np.testing.assert_array_equal(thin.square[:, 1:], whole.square[:, 1:] & after)
-    again = thinned(whole.take([7, 300]), 0.5, seed=3)
-    np.testing.assert_array_equal(again.start, thin.start[[7, 300]])

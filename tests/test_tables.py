@@ -55,8 +55,6 @@ def trained(success: list[float], episodes: int = 500, seeds: list[int] | None =
         hit=np.where(outcome == "collision", np.where(number % 4 == 1, "human", "square"), ""),
         time=np.where(outcome == "timeout", 24.0, 10.0 + number % 2),
         total_reward=np.where(outcome == "success", 0.3, -0.1),
-        best=np.array(success),
-        best_episode=np.full(count, 500),
         episodes=EPISODES,
         steps=np.full((count, 1000), 40),
         **(course | more),
@@ -68,7 +66,6 @@ def write_run(place: Path, row: str, seed: int, success: float, first: int = 0) 
     run, folder = trained([success], 50), run_folder(place, 1, "quick", row, seed)
     create_run("rl", run_config(1, "quick", row, seed), folder)
     (folder / "weights.npz").touch()
-    (folder / "result.json").write_text(json.dumps({"best_validation": {"success": success, "episode": 500}}))
     columns = {name: getattr(run, name)[0].tolist() for name in ("outcome", "hit", "time", "total_reward")}
     rows = [dict(zip(columns, line, strict=True)) for line in zip(*columns.values(), strict=True)]
     (folder / "test.csv").write_text(csv_text([{"episode": first + e} | row for e, row in enumerate(rows)]))
@@ -127,7 +124,7 @@ def test_each_command_makes_a_run_with_the_config_that_the_table_looks_for(
         ({"imitation": {"epochs": 2}}, '"epochs": 2, not "epochs": 6'),
         ({"reward": {"reward": "sfm"}}, '"reward": "sfm", not "reward": "crowd"'),
         ({"forces": True}, '"forces": true, not "forces": false'),
-        ({"sparse": 0.0}, '"sparse": 0.0, not "sparse": 0.1'),
+        ({"mirror": False}, '"mirror": false, not "mirror": true'),
         ({"seed": 8}, '"seed": 8, not "seed": 0'),
     ],
 )
@@ -221,9 +218,8 @@ def test_folders_alone_make_a_row(folder):
         ("test.csv", None),
         ("test.csv", "episode\n0\n"),
         ("validation.csv", "episode,success\n0,x\n"),
-        ("result.json", '{"best_validation": []}'),
-        ("result.json", '{"best_validation": {"success": "x", "episode": null}}'),
-        ("result.json", '{"best_validation": {"success": 1, "episode": 1e400}}'),
+        ("validation.csv", "episode,success\n1e400,1\n"),
+        ("metrics.csv", "outcome,steps\nsuccess,x\n"),
     ],
 )
 def test_a_run_that_cannot_be_read_is_one_error(folder, name, text):

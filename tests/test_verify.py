@@ -35,7 +35,7 @@ def handed_in(tmp_path_factory) -> Path:
     config = make_config(
         simulation={"time_limit": 12.0},
         imitation={"episodes": 6, "epochs": 2, "environment": "circle5"},
-        reinforcement={"episodes": 8, "parallel": 4, "batches": 1, "validation_interval": 4, "test_best": True}
+        reinforcement={"episodes": 8, "parallel": 4, "batches": 1, "validation_interval": 4}
         | {"validation_episodes": 2, "test_episodes": 6},
     )
     il = create_run("il", config, folder / "il")

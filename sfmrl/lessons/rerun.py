@@ -19,7 +19,7 @@ from sfmrl.runs.progress import Progress
 from sfmrl.runs.run import Run
 from sfmrl.runs.training import EVALUATION_SEED
 from sfmrl.runs.weights import load_weights
-from sfmrl.scenes import sample_scenes, thinned
+from sfmrl.scenes import sample_scenes
 
 TIME_TOLERANCE = 0.05  # where the bits differ, the largest median difference of the episodes' times, as a share
 
@@ -53,31 +53,30 @@ class Rerun:
         count = min(self.episodes, settings.episodes)
         how: dict[str, Any] = {"phase": "imitation", "random_attributes": simulation.random_attributes}
         scenes = sample_scenes(settings.environment, count, run.config.seed, **how)
-        scenes = thinned(scenes, run.config.sparse, run.config.seed)
         again = play_episodes(scenes, orca_policy, Reward(), simulation)  # any reward: ORCA's paths do not depend on it
         stored = stored.take(np.arange(count))
         exact = np.array_equal(stored.position[:, : again.position.shape[1]], again.position, equal_nan=True)
         return self.judged(f"of {whole}, played by ORCA again,", again, stored.outcome, stored.steps, exact)
 
-    def tests(self, run: Run, weights: str = WEIGHTS, name: str = "test.csv") -> str:
+    def tests(self, run: Run) -> str:
         """Compare test episodes of the network alone with their table."""
-        record = self._play(run, weights)
-        stored = read_table(run.folder / name)[: len(record.steps)]
+        record = self._play(run)
+        stored = read_table(run.folder / "test.csv")[: len(record.steps)]
         again = [{key: str(value) for key, value in row.items()} for row in episode_rows(record)]
         outcome, steps = (np.array([row[key] for row in stored]) for key in ("outcome", "steps"))
         whole = counted(run.config.reinforcement.test_episodes, "test episode")
-        what = f"of {whole}, played by {weights} alone,"
+        what = f"of {whole}, played by {WEIGHTS} alone,"
         return self.judged(what, record, outcome, steps.astype(int), stored == again)
 
     def recovery(self, run: Run) -> str:
         """Compare test episodes with recovery with the list of their failures, all of them that is on file."""
-        record, whole = self._play(run, WEIGHTS, recover=True), run.config.reinforcement.test_episodes
+        record, whole = self._play(run, recover=True), run.config.reinforcement.test_episodes
         stored = outcomes(result_of(run)["with_recovery"], whole)
         return self.judged(f"of {counted(whole, 'test episode')}", record, np.array(stored))
 
-    def _play(self, run: Run, weights: str, recover: bool = False) -> Record:
+    def _play(self, run: Run, recover: bool = False) -> Record:
         """Play test episodes as a training plays them at its end."""
-        network, _ = load_weights(run.folder / weights)
+        network, _ = load_weights(run.folder / WEIGHTS)
         policy, settings = SarlPolicy(network, run.config, self.threads), run.config.reinforcement
         episodes = min(self.episodes, settings.test_episodes)
         with self.progress("test", episodes) as advance:

@@ -76,8 +76,6 @@ def _reinforcement(run: Run, rerun: Rerun) -> Iterator[Finding]:
     yield _finding("imitation", _began, run)
     yield _finding("result.json", _rates, run)
     yield _finding("replay", rerun.tests, run)
-    if (run.folder / "test-best.csv").exists():
-        yield _finding("best replay", rerun.tests, run, BEST, "test-best.csv")
     whole = run.config.reinforcement.test_episodes
     if run.config.planner.recover and rerun.episodes >= whole:
         yield _finding("recovery", rerun.recovery, run)
@@ -131,7 +129,7 @@ def _tables(run: Run) -> str:
     if run.kind == "rl":
         settings = run.config.reinforcement
         must += ["validation.csv", "test.csv", "result.json"]
-        must += ["test-best.csv"] * settings.test_best + [MAP] * settings.environment.startswith(DRAWN)
+        must += [MAP] * settings.environment.startswith(DRAWN)
     if missing := [name for name in must if name not in listed]:
         raise Disagreement(f"not listed in {SUMS}: {', '.join(missing)}")
     return f"{', '.join(must)} are listed in {SUMS}"
@@ -185,14 +183,11 @@ def _began(run: Run) -> str | Finding:
 def _rates(run: Run) -> str:
     """The rates in result.json are those of its tables and of its lists of failures."""
     result, whole = result_of(run), run.config.reinforcement.test_episodes
-    best, recovering = result.get("best_validation"), result.get("with_recovery")
-    for part, name in ((result, "test.csv"), (best, "test-best.csv"), (recovering, "")):
-        if not part:
-            continue
-        sources = {"its failures": outcomes(part, whole)}
-        if name and (run.folder / name).exists():
-            sources[name] = [row["outcome"] for row in read_table(run.folder / name)]
-        for source, ends in sources.items():
-            if len(ends) != whole or any(round(part[rate] * whole) != ends.count(rate) for rate in RATES):
-                raise Disagreement(f"its rates are not those of {counted(whole, 'episode')} in {source}")
+    sources = [(result, "its failures", outcomes(result, whole))]
+    sources += [(result, "test.csv", [row["outcome"] for row in read_table(run.folder / "test.csv")])]
+    if recovering := result.get("with_recovery"):
+        sources += [(recovering, "its failures", outcomes(recovering, whole))]
+    for rates, source, ends in sources:
+        if len(ends) != whole or any(round(rates[rate] * whole) != ends.count(rate) for rate in RATES):
+            raise Disagreement(f"its rates are not those of {counted(whole, 'episode')} in {source}")
     return ", ".join(f"{name} {result[name]:.3f}" for name in RATES)

@@ -44,15 +44,13 @@ class Explorer:
         if self._pool:
             self._pool.shutdown(cancel_futures=True)
 
-    def start(
-        self, actor: FastNetwork, episodes: Sequence[int], scenes: Sequence[int] | None = None
-    ) -> Callable[[], Explored]:
+    def start(self, actor: FastNetwork, episodes: Sequence[int]) -> Callable[[], Explored]:
         """Start to `explore` the episodes with the network `actor`; returns a function that waits for the result.
 
-        `scenes` are the numbers of the scenes to play in, by default the episodes' own. Without a second process, that
-        function plays, with the actor as it is then. With one, the actor must not change before that function returns.
+        Without a second process, that function plays, with the actor as it is then. With one, the actor must not change
+        before that function returns.
         """
-        work, future = partial(_explore, *self._setup, actor.flat, episodes, scenes), None
+        work, future = partial(_explore, *self._setup, actor.flat, episodes), None
         with suppress(BrokenProcessPool):
             future = self._pool and self._pool.submit(work)
 
@@ -83,14 +81,7 @@ def _policy(config: Config, threads: int, sizes: Sizes) -> SarlPolicy:
     return SarlPolicy(new_network(config, sizes=sizes), config, threads)
 
 
-def _explore(
-    config: Config,
-    threads: int,
-    sizes: Sizes,
-    weights: np.ndarray,
-    episodes: Sequence[int],
-    scenes: Sequence[int] | None,
-) -> Explored:
+def _explore(config: Config, threads: int, sizes: Sizes, weights: np.ndarray, episodes: Sequence[int]) -> Explored:
     policy = _policy(config, threads, sizes)
     policy.network.flat[:] = weights
-    return explore(policy, config, episodes, scenes)
+    return explore(policy, config, episodes)

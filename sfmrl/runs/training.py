@@ -87,7 +87,7 @@ def run_reinforcement(run: Run, progress: Progress, stop: StopSignal, say: Say, 
     result = test(run, learner, stop.watch(progress), threads)
     written = result | {"bits": machine_bits()}  # run.json has the bits of the machine on which the run began
     write_text(run.folder / "result.json", json.dumps(written, indent=2) + "\n")
-    run.finish(weights_file(learner.tested, config))
+    run.finish(weights_file(learner.network, config))
     return result
 
 
@@ -143,11 +143,7 @@ def train_until_validation(
     until = min(settings.validation_interval * (learner.episode // settings.validation_interval + 1), settings.episodes)
     saved_at = time.monotonic()
     for record, loss in reinforce(learner, explorer.start, until):
-        first = learner.episode - len(record.steps)
-        rows = [
-            {"episode": episode, "scene": row.pop("episode"), **row, "loss": loss}
-            for episode, row in enumerate(episode_rows(record), start=first)
-        ]
+        rows = [row | {"loss": loss} for row in episode_rows(record)]
         learner.rows += rows
         append_rows(run.folder / "metrics.csv", rows)
         advance(len(rows))
@@ -166,11 +162,11 @@ def due(learner: Learner, settings: Reinforcement) -> bool:
 
 def validate(run: Run, learner: Learner, stop: StopSignal, say: Say, threads: int) -> None:
     """Play the validation episodes, add a row to validation.csv, and save the network if none before was better."""
-    settings, policy = run.config.reinforcement, SarlPolicy(learner.tested, run.config, threads)
+    settings, policy = run.config.reinforcement, SarlPolicy(learner.network, run.config, threads)
     rates = metrics(play(policy, "validation", settings.validation_episodes, stop.watch(no_progress)))
     row = {"episode": learner.episode} | {name: rates[name] for name in VALIDATED}
     if row["success"] >= max((old["success"] for old in learner.validations), default=0.0):
-        save_weights(learner.tested, run.config, run.folder / BEST)
+        save_weights(learner.network, run.config, run.folder / BEST)
     learner.validations.append(row)
     append_rows(run.folder / "validation.csv", [row])
     shown = ", ".join(f"{name} {rates[name]:.3f}" for name in ("success", "collision", "timeout"))
@@ -178,22 +174,15 @@ def validate(run: Run, learner: Learner, stop: StopSignal, say: Say, threads: in
 
 
 def test(run: Run, learner: Learner, progress: Progress, threads: int) -> dict[str, Any]:
-    """Test the network alone and, if the config says so, with recovery and as of its best validation; the metrics."""
+    """Test the network alone and, if the config says so, with recovery; the metrics."""
     config, episodes = run.config, run.config.reinforcement.test_episodes
-    alone = RememberingPolicy(learner.tested, config, threads)
+    alone = RememberingPolicy(learner.network, config, threads)
     record = play(alone, "test", episodes, progress)
     result = metrics(record)
     write_text(run.folder / "test.csv", csv_text(episode_rows(record)))
     if config.planner.recover:
         recovering = with_recovery(alone, config.planner)
         result["with_recovery"] = metrics(play(recovering, "test", episodes, progress), recovering)
-    if config.reinforcement.test_best:
-        best = max(learner.validations, key=lambda row: (row["success"], row["episode"]))  # the last of several
-        if best["episode"] != learner.episode:
-            network, _ = load_weights(run.folder / BEST)
-            record = play(SarlPolicy(network, config, threads), "test", episodes, progress)
-        write_text(run.folder / "test-best.csv", csv_text(episode_rows(record)))
-        result["best_validation"] = {"episode": best["episode"]} | metrics(record)
     return result
 
 

@@ -88,7 +88,7 @@ def sheets(summary: list[dict[str, Any]], contrasts: list[dict[str, Any]], title
     seeds = sorted({seed for row in summary for seed in row["seeds"]})
     unbroken = len(seeds) > 1 and seeds == list(range(seeds[0], seeds[-1] + 1))
     named = f"{seeds[0]}-{seeds[-1]}" if unbroken else ", ".join(map(str, seeds))
-    course = "Weights of the best validation; time with time-outs as 25 s; training until validation success 0.9"
+    course = "Time with time-outs as 25 s; training until validation success 0.9"
     pages = {
         f"{title}; 95 % intervals over seeds (Student's t)": [_rates(row) for row in summary],
         "Success of every seed; Wilson: the 95 % interval of one network over test episodes": [
@@ -137,7 +137,6 @@ def _course(row: dict[str, Any]) -> dict[str, str]:
     episodes = figures["reached_episodes"]
     return {
         "row": row["row"],
-        "best": _over_seeds(figures["best_success"]),
         "time, s": seconds(figures["navigation_time_charged"]["mean"]),
         "episodes": whole(episodes["mean"]),
         "steps": number(figures["reached_steps"]["mean"], ",.0f"),

@@ -24,7 +24,7 @@ HALVINGS = 60  # in a bisection, to the last bits of a float
 SEEDS_NEEDED = 5  # for a verdict on the paper
 WIDEST = 0.1  # with a wider range of expected success, the verdict is inconclusive
 UNDECIDED = {"expected": None, "verdict": "inconclusive"}
-NO_RATES = ("navigation_time", "total_reward", "best_episode", "reached")  # prefixes of metrics that are no rates
+NO_RATES = ("navigation_time", "total_reward", "reached")  # prefixes of metrics that are no rates
 # The effect of an ingredient: the mean, over pairs of table 1's rows, of the first row less the second.
 CONTRASTS = {
     "forces in the state": (("sarl-sfm5", "sarl"), ("sarl-sfm6", "sarl-sfm2")),

@@ -1,8 +1,8 @@
 """The paper's two tables: rows with the paper's figures, the trainings that make them, each seed's metrics.
 
 A table is made from finished run folders, wherever and in whichever order they were trained. All are tested on the same
-episodes, with the weights that the training ended with, as in the paper; those of the best validation are tested beside
-them. Training, validation and test episodes are drawn from separate streams, and never overlap.
+episodes, with the weights that the training ended with, as in the paper. Training, validation and test episodes are
+drawn from separate streams, and never overlap.
 """
 
 import re
@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sfmrl.config import Config, ConfigError, json_object, override, suggest
+from sfmrl.config import Config, ConfigError, override, suggest
 from sfmrl.runs.create import open_same
-from sfmrl.runs.files import read_listed, read_table
+from sfmrl.runs.files import read_table
 from sfmrl.runs.folders import finished
 from sfmrl.study.jobs import Job
 from sfmrl.variants import make_config
@@ -84,7 +84,7 @@ def make_jobs(
     `episodes` of each training and the `interval` of its validations are by default the table's.
     """
     schedule = run_config(number, preset, rows[0], seeds[0], episodes, interval).reinforcement
-    changes = ["--no-recover", "--validation-interval", str(schedule.validation_interval), "--test-best"]
+    changes = ["--no-recover", "--validation-interval", str(schedule.validation_interval)]
     if number == 2:
         changes += ["--environment", schedule.test_environment, "--test-episodes", str(schedule.test_episodes)]
     if number == 2 or episodes:
@@ -110,7 +110,6 @@ def run_config(
         "episodes": episodes or table.episodes[preset],
         "validation_interval": interval or VALIDATION_INTERVAL[preset],
         "test_episodes": table.test_episodes,
-        "test_best": True,
         # Within table 1, the variant says where to train: sarl-sfm3 in environment 1 alone.
         "environment": plain.reinforcement.environment if number == 1 else table.environment,
         "test_environment": table.environment,
@@ -156,8 +155,6 @@ class Trained:
     hit: np.ndarray  # (S, E) "human", "square" or "" without a collision
     time: np.ndarray  # (S, E) s
     total_reward: np.ndarray  # (S, E)
-    best: np.ndarray  # (S,) success of the best validation
-    best_episode: np.ndarray  # (S,) the training episode of that validation
     episodes: np.ndarray  # (V,) training episodes at which there was a validation
     validation: np.ndarray  # (S, V) its success
     training: np.ndarray  # (S, T) bool, success of the training episodes, exploring
@@ -192,14 +189,11 @@ def read_row(
         return None
     folders = list(runs.values())
     try:
-        best = [json_object(read_listed(run / "result.json"))["best_validation"] for run in folders]
         validation = _columns(folders, "validation.csv", "validated", episode=int, success=float)
         metrics = _columns(folders, "metrics.csv", outcome=str, steps=int)
         return Trained(
             seeds=list(runs),
             **_columns(folders, "test.csv", "tested", outcome=str, hit=str, time=float, total_reward=float),
-            best=np.array([float(result["success"]) for result in best]),
-            best_episode=np.array([int(result["episode"]) for result in best]),
             episodes=validation["episode"][0],
             validation=validation["success"],
             training=metrics["outcome"] == "success",
@@ -251,8 +245,6 @@ def figures(runs: Trained) -> Figures:
         "navigation_time": _mean_where(runs.time, success),  # s, as in the paper
         "navigation_time_charged": _mean_where(np.where(timeout, TIME_CHARGED, runs.time), success | timeout),
         "total_reward": runs.total_reward.mean(axis=1),
-        "best_success": runs.best,
-        "best_episode": runs.best_episode.astype(float),
         "start_success": runs.validation[:, 0],
         "course_success": runs.validation.mean(axis=1),  # the area under the curve, of evenly spaced validations
         "early_success": runs.validation[:, first].mean(axis=1) if first.any() else np.full(len(runs.seeds), np.nan),
