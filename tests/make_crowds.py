@@ -17,7 +17,7 @@ from sfmrl.runs.weights import MODELS
 from sfmrl.study.sheets import Sheet, rate
 
 CSV = Path(__file__).parents[1] / "tutorials" / "results" / "crowds.csv"
-NETWORKS = [path.stem for path in sorted(MODELS.glob("*.json")) if "unicycle" not in path.stem]
+NETWORKS = [path.stem for path in sorted(MODELS.glob("*.json"))]
 PLACES = {f"--environment {name} --episodes 1000": name for name in ("1", "2", "3", "4", "5", "circle")}
 PLACES["--environment maps --episodes 400"] = "maps"
 VARIED = {
@@ -31,8 +31,8 @@ CROWDED = "sarl-sfm2"  # the network that all of VARIED is tested with
 
 def tests() -> list[tuple[str, str]]:
     """Networks and options of all tests."""
-    elsewhere = [(network, options) for network in NETWORKS for options in PLACES]
-    return elsewhere + [(CROWDED, options) for part in VARIED.values() for options in part]
+    varied = [(CROWDED, options) for part in VARIED.values() for options in part]
+    return varied + [(network, options) for options in PLACES for network in NETWORKS]
 
 
 def crowds_markdown(lines: list[dict]) -> str:

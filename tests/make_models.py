@@ -96,6 +96,7 @@ def make_models(place: Path, seeds: list[int]) -> None:
 def make_unicycle(folder: Path) -> None:
     run = open_run(folder)
     commands = [open_run(folder / run.facts["imitation"]).facts["command"], run.facts["command"]]
+    commands = [command.replace(f"{folder.parent}/", "runs/") for command in commands]
     test = run.config.reinforcement.test_environment, run.config.reinforcement.test_episodes
     make_model(f"{run.facts['variant']}-unicycle", run.facts["variant"], run, "the first seed", commands, test)
 
