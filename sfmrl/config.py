@@ -218,12 +218,12 @@ class Config(Settings):
         """The config that `to_json` wrote, its reward `Untrusted`; raises ValueError on anything else."""
         changes = json_object(text)
         if RETIRED & set(changes):
-            raise ConfigError("it was made by an earlier version of sfmrl; install that version to play it")
+            raise ConfigError("it was made by a version of sfmrl before 0.3.0; install that version to play it")
         config = override(Config(), changes)
         return override(config, {"reward": {"reward": Untrusted(config.reward.reward)}})
 
 
-# Settings of earlier versions, whose networks were trained otherwise, most among squares that are discs.
+# Settings of versions before 0.3.0. Most of their networks were trained with squares as discs, and play worse now.
 RETIRED = {"shaping", "precision", "collision_ends", "avoid_traps", "sparse"}
 
 

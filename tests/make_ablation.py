@@ -60,7 +60,7 @@ def trainings(folder: Path, seed: int, name: str, both: str, il_options: str, rl
 
 
 def few_people(episodes: int = 300) -> Scenes:
-    """Scenes of one to three people, whose starts and goals are anywhere within 12 m, 1 m from anybody else's."""
+    """Scenes of one to three people; starts and goals are anywhere up to 12 m in x and y, 1 m from anybody else's."""
     rng = np.random.default_rng(5)
     people = rng.integers(1, 4, episodes)
 
@@ -93,16 +93,15 @@ def missing(known: list[dict], seeds: list[int]) -> Iterator[tuple[dict, Run]]:
                 yield line, (seed, name, *options)
 
 
-def new_lines(folder: Path, known: list[dict], seeds: list[int]) -> list[dict]:
+def new_lines(folder: Path, known: list[dict], seeds: list[int]) -> Iterator[dict]:
     """Lines of what has been trained since, with the figures of its tests."""
-    lines, scenes = [], few_people()
+    scenes = few_people()
     for line, run in missing(known, seeds):
         path = trainings(folder, *run)[1].folder
         if finished(path):
             few = {"success_among_few": float((play(scenes, str(path)).outcome == "success").mean())}
             result = json_object(read_listed(path / "result.json")) | few
-            lines.append(line | {figure: result[figure] for figure in FIGURES})
-    return lines
+            yield line | {figure: result[figure] for figure in FIGURES}
 
 
 def ablation_markdown(lines: list[dict]) -> str:
@@ -150,10 +149,10 @@ def main(folder: Path, seeds: list[int]) -> None:
     except (Interrupted, Failed) as error:
         sys.exit(f"make_ablation: {error or 'stopped'}; the same command goes on")
     finally:
-        order = list(INGREDIENTS)
-        lines = known + new_lines(folder, known, seeds)
-        lines.sort(key=lambda line: (order.index(line["switched off"]), int(line["seed"])))
-        CSV.write_text(csv_text(lines))
+        order, lines = list(INGREDIENTS), known
+        for line in new_lines(folder, known, seeds):
+            lines = sorted([*lines, line], key=lambda line: (order.index(line["switched off"]), int(line["seed"])))
+            CSV.write_text(csv_text(lines))
         if lines and lines[0]["switched off"] == "nothing":
             CSV.with_suffix(".md").write_text(ablation_markdown(lines))
 

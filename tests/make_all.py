@@ -17,7 +17,7 @@ sfmrl table 1 --folder FOLDER
 sfmrl table 2 --folder FOLDER
 sfmrl il --kinematics unicycle --run FOLDER/turning-il --continue
 sfmrl rl --kinematics unicycle --reward sfm --from FOLDER/turning-il --run FOLDER/turning --continue
-python TESTS/make_models.py FOLDER 0-9
+python TESTS/make_models.py FOLDER 0-2
 python TESTS/make_models.py unicycle FOLDER/turning
 python TESTS/make_ablation.py FOLDER 0-4
 python TESTS/make_crowds.py

@@ -157,7 +157,7 @@ def test_a_network_of_crowdnav_s_is_trained_on_from_its_file(sfmrl: Call, tmp_pa
     short = [*TINY_RL, "--environment", "5", "--time-limit", "4", "--learning-rate", "0", "--no-recover"]
     short += ["--run", "mine"]
     assert_one_line_error(sfmrl("rl", "--from", path, "--forces", *short), "reads 13 columns, this training 17")
-    done = sfmrl("rl", "--from", path, *short)  # on a process of its own, too, since the preset says overlap
+    done = sfmrl("rl", "--from", path, *short)  # on a process of its own, too, since --parallel is above 1
     assert done.returncode == 0, done.stderr
     assert f"from the network in {path}, without value-prior" in done.stderr
     trained, config = load_weights(tmp_path / "mine" / "weights.npz")

@@ -13,8 +13,8 @@ def test_a_config_comes_back_from_its_json():
     assert Config.from_json(config.to_json()) == config
 
 
-@pytest.mark.parametrize("setting", [{"shaping": "none"}, {"avoid_traps": True}])
+@pytest.mark.parametrize("setting", [{"shaping": "none"}, {"avoid_traps": True}, {"sparse": 0.1}])
 def test_a_config_of_an_earlier_version_is_refused_with_the_version_that_plays_it(setting):
     older = json.loads(Config().to_json()) | setting
-    with pytest.raises(ConfigError, match=r"made by an earlier version of sfmrl; install that version"):
+    with pytest.raises(ConfigError, match=r"made by a version of sfmrl before 0.3.0; install that version"):
         Config.from_json(json.dumps(older))

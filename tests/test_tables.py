@@ -17,6 +17,7 @@ import scipy.stats
 from sfmrl.cli import main
 from sfmrl.config import ConfigError, override
 from sfmrl.evaluation import wilson
+from sfmrl.geometry import length
 from sfmrl.runs.create import create_run
 from sfmrl.runs.files import csv_text, write_atomically
 from sfmrl.scenes import sample_scenes
@@ -218,8 +219,8 @@ def test_folders_alone_make_a_row(folder):
         ("test.csv", None),
         ("test.csv", "episode\n0\n"),
         ("validation.csv", "episode,success\n0,x\n"),
-        ("validation.csv", "episode,success\n1e400,1\n"),
         ("metrics.csv", "outcome,steps\nsuccess,x\n"),
+        ("metrics.csv", "outcome,steps\nsuccess,9999999999999999999999\n"),
     ],
 )
 def test_a_run_that_cannot_be_read_is_one_error(folder, name, text):
@@ -431,7 +432,19 @@ def test_the_ablation_changes_one_thing_at_a_time_and_pairs_seeds(tmp_path):
     low, high = scipy.stats.t.interval(0.95, 2, -0.2 / 3, scipy.stats.sem([-0.1, 0, -0.1]))
     change = f"-.067 ({rate(low)} to {rate(high)})"
     late = f"-0.07 ({low:.2f} to {high:.2f})"
-    assert f"| this | `--x` | 0 1 2 | {change} | {late} | {change} |" in make_ablation.ablation_markdown(lines)
+    expected = f"| this | `--x` | 0 1 2 | {change} | {late} | {change} | {change} |"
+    assert expected in make_ablation.ablation_markdown(lines)
+
+
+def test_scenes_with_few_people_keep_them_apart():
+    scenes = make_ablation.few_people()
+    people = ~np.isnan(scenes.start[:, 1:, 0])
+    assert set(people.sum(1)) == {1, 2, 3}
+    for places in (scenes.start, scenes.goal):
+        assert np.nanmax(np.abs(places)) <= 12
+        apart = length(places[:, :, None] - places[:, None])[:, ~np.eye(4, dtype=bool)]
+        assert np.nanmin(apart) >= 1
+        np.testing.assert_array_equal(~np.isnan(places[:, 1:, 0]), people)
 
 
 def test_results_grow_by_the_runs_of_a_folder_and_keep_what_they_had(folder, tmp_path, monkeypatch):

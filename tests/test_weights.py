@@ -45,7 +45,7 @@ def test_a_weights_file_gives_back_network_and_config(tmp_path):
 def test_a_weights_file_of_an_older_version_is_refused_with_its_version(tmp_path):
     older = json.dumps(json.loads(make_config("paper").to_json()) | {"precision": "bf16", "shaping": "none"})
     torch.save({"weights": ValueNetwork().state_dict(), "config": older}, tmp_path / "weights.pt")
-    with pytest.raises(ConfigError, match=r"weights.pt cannot be used: it was made by an earlier version"):
+    with pytest.raises(ConfigError, match=r"weights.pt cannot be used: it was made by a version of sfmrl before 0.3.0"):
         load_policy(tmp_path / "weights.pt")
 
 
