@@ -128,8 +128,7 @@ def _tables(run: Run) -> str:
     must, listed = ["metrics.csv"], read_sums(run.folder)
     if run.kind == "rl":
         settings = run.config.reinforcement
-        must += ["validation.csv", "test.csv", "result.json"]
-        must += [MAP] * settings.environment.startswith(DRAWN)
+        must += ["validation.csv", "test.csv", "result.json", *[MAP] * settings.environment.startswith(DRAWN)]
     if missing := [name for name in must if name not in listed]:
         raise Disagreement(f"not listed in {SUMS}: {', '.join(missing)}")
     return f"{', '.join(must)} are listed in {SUMS}"
@@ -183,8 +182,8 @@ def _began(run: Run) -> str | Finding:
 def _rates(run: Run) -> str:
     """The rates in result.json are those of its tables and of its lists of failures."""
     result, whole = result_of(run), run.config.reinforcement.test_episodes
-    sources = [(result, "its failures", outcomes(result, whole))]
-    sources += [(result, "test.csv", [row["outcome"] for row in read_table(run.folder / "test.csv")])]
+    tested = [row["outcome"] for row in read_table(run.folder / "test.csv")]
+    sources = [(result, "its failures", outcomes(result, whole)), (result, "test.csv", tested)]
     if recovering := result.get("with_recovery"):
         sources += [(recovering, "its failures", outcomes(recovering, whole))]
     for rates, source, ends in sources:
