@@ -91,7 +91,9 @@ class Simulation(Settings):
         "the robot moves in any direction at once, or turns at most pi rad/s and drives ahead (CrowdNav)",
         choices=("holonomic", "unicycle"),
     )
-    squares: str = knob("solid", "gaps to squares: to the outline, or disc inside (paper)", choices=("solid", "disc"))
+    squares: str = knob(
+        "solid", "measure gaps to squares from their outline or the disc inside (paper)", choices=("solid", "disc")
+    )
     robot_visible: bool = knob(True, "the humans see the robot (paper: they do)")
     random_attributes: bool = knob(False, "humans differ: radius 0.3-0.5 m, at most 0.5-1.5 m/s (CrowdNav)")
     safety_space: float = knob(0.0, "added to every radius when ORCA drives the robot, m", 0, 10)
@@ -111,7 +113,7 @@ class Simulation(Settings):
 
     @property
     def longest(self) -> int:
-        """Steps of the longest episode: as in CrowdNav, the first from 1 s before the time limit on is the last."""
+        """Steps of the longest episode: as in CrowdNav, the last one begins 1 s or less before the time limit."""
         return math.ceil((self.time_limit - 1.0) / self.time_step - 1e-9) + 1
 
 
@@ -123,7 +125,7 @@ class Reward(Settings):
     success: float = knob(1.0, "reward for reaching the goal (CrowdNav)", *ANY_REWARD)
     collision: float = knob(-0.25, "reward for a collision (CrowdNav)", *ANY_REWARD)
     discomfort_distance: float = knob(0.2, "closer than this is too close, m (CrowdNav)", 0, 1000)
-    discomfort_slope: float = knob(0.125, "crowd: penalty per metre too close, in 0.25 s (CrowdNav)", *ANY_REWARD)
+    discomfort_slope: float = knob(0.125, "crowd: penalty per metre too close, per 0.25 s (CrowdNav)", *ANY_REWARD)
     discomfort_amplitude: float = knob(-0.03, "sfm: reward at zero separation (the paper's A)", *ANY_REWARD)
     discomfort_decay: float = knob(10.0, "sfm: how fast it fades with separation, 1/m (the paper's B)", 0, 1e6)
     k: float = knob(0.001, "sfm: weight of moving at the preferred velocity (the paper's k)", *ANY_REWARD)
@@ -134,11 +136,11 @@ class Reward(Settings):
 
 @dataclass(frozen=True)
 class Planner(Settings):
-    """Recovery at play, and the grid on which paths around squares are measured."""
+    """Recovery, and the grid on which paths around squares are measured."""
 
-    recover: bool = knob(False, "at play, lead a stuck robot around squares and look farther ahead for traps (ours)")
+    recover: bool = knob(False, "in tests and replays, lead a stuck robot around squares and look farther ahead (ours)")
     stall_time: float = knob(2.0, "recover: time without progress after which the robot is stuck, s", 0, 3600)
-    stall_distance: float = knob(0.25, "recover: progress is a path to the goal shorter by this, m", 0, 1000)
+    stall_distance: float = knob(0.25, "recover: progress shortens the path to the goal by at least this, m", 0, 1000)
     resolution: float = knob(0.1, "paths around squares: side of the grid's cells, m", 0.02, 10)
     inflation: float = knob(0.1, "paths around squares: cells nearer to a square than this cost more, m", 0, 10)
 
@@ -160,13 +162,13 @@ class Reinforcement(Settings):
     """Deep V-learning; the paper's numbers, CrowdNav's where it gives none."""
 
     episodes: int = knob(10_000, "training episodes", 1, 10_000_000)
-    parallel: int = knob(1, "episodes played side by side, while the last ones are learnt from; for speed", 1, 10_000)
+    parallel: int = knob(1, "episodes played side by side, while the network learns from the previous ones", 1, 10_000)
     batches: int = knob(100, "batches of learning an episode (CrowdNav)", 0, 10_000)
     batch_size: int = knob(100, "states in a batch", 1, 100_000)
     learning_rate: float = knob(0.001, "learning rate", 0, 1000)
     epsilon_start: float = knob(0.5, "share of random actions at the start (CrowdNav)", 0, 1)
-    epsilon_end: float = knob(0.1, "share of random actions in the end (CrowdNav)", 0, 1)
-    epsilon_episodes: int = knob(4000, "episodes from the first share to the last (CrowdNav)", 1, 10_000_000)
+    epsilon_end: float = knob(0.1, "share of random actions at the end (CrowdNav)", 0, 1)
+    epsilon_episodes: int = knob(4000, "episodes over which this share falls (CrowdNav)", 1, 10_000_000)
     targets: str = knob(
         "td",
         "value to learn: td, the reward plus the target network's next value, without time-outs (CrowdNav); or "

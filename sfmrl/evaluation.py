@@ -73,7 +73,7 @@ def metrics(record: Record, policy: Policy | None = None) -> Metrics:
     `navigation_time` is the mean time of the successes in s (None without any); `total_reward` the mean discounted
     return. `failures` lists the episodes without success, and whether their squares leave a path to the goal, around
     their outlines. If `policy` has recovery and has just played the record, `recovered` is the rate of episodes in
-    which it was stuck. Of a record without episodes, rates and means are None, and intervals from 0 to 1.
+    which it was stuck. For a record without episodes, rates and means are None, and intervals are from 0 to 1.
     """
     from sfmrl.recovery import RecoveringPolicy, solvable
 

@@ -22,7 +22,7 @@ OUTCOMES = np.array(["running", "success", "collision", "timeout"])
 
 @dataclass(frozen=True)
 class Transition(Batch):
-    """What a reward is given: one step of the robot, with any leading axes (...), as (E,), (E, A) or (E, T).
+    """What a reward is given: one step of the robot, with any leading axes (...), e.g. (E,), (E, A) or (E, T).
 
     time (...): s, at the end of the step
     time_step (...): s, how long the step takes

@@ -214,7 +214,7 @@ def turned(world: World, wanted: np.ndarray) -> np.ndarray | None:
 
 
 def drive(world: World, wanted: np.ndarray) -> np.ndarray:
-    """What the robot can do of the velocity `wanted`, (E, 2) or (E, A, 2) in m/s; a holonomic one, all of it.
+    """The part of the velocity `wanted` that the robot can drive, (E, 2) or (E, A, 2) in m/s; all of it if holonomic.
 
     A unicycle drives along its new heading with the part of the wanted velocity that points there, and never backwards.
     """
@@ -235,9 +235,9 @@ def onward(actions: np.ndarray, before: World, after: World) -> np.ndarray:
 
 
 def advance(world: World, velocity: np.ndarray, action: np.ndarray) -> World:
-    """The world after a step with everybody's `velocity` (E, N, 2), but the robot's is `action` (E, 2), in m/s.
+    """The world after a step with everybody's `velocity` (E, N, 2), except the robot's, `action` (E, 2), in m/s.
 
-    Of the action, a unicycle robot does what it can (`drive`).
+    A unicycle robot drives the part of the action that it can (`drive`).
     """
     velocity = velocity.copy()
     velocity[:, 0] = drive(world, action)

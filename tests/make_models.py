@@ -57,7 +57,7 @@ def write_card(card: dict[str, Any], episodes: int) -> None:
 def make_model(name: str, row: str, run: Run, chosen: str, commands: list[str], test: tuple[str, int]) -> None:
     """Copy a run's network and write its card; `test` is its environment and number of episodes."""
     network, config = load_weights(run.folder / WEIGHTS)
-    config = replace(config, planner=replace(config.planner, recover=True))  # at play; no training sees it
+    config = replace(config, planner=replace(config.planner, recover=True))  # in tests only; no training sees it
     digest, path = save_weights(network, config, MODELS / f"{name}.npz"), MODELS / f"{name}.json"
     (MODELS / "SHA256SUMS").unlink()  # the card has it
     if path.exists() and json.loads(path.read_text())["sha256"] == digest:

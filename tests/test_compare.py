@@ -73,7 +73,7 @@ def test_social_metrics_are_compared_where_both_have_a_value(records):
     lines = sheet.lines
     assert lines[0]["orca"] == rate(found[0]["social"]["danger_frequency"])
     assert [line["metric"] for line in lines] == list(SOCIAL_METRICS)
-    assert list(lines[0])[1:] == ["orca", "linear less orca", "sfm less orca"]
+    assert list(lines[0])[1:] == ["orca", "linear - orca", "sfm - orca"]
 
 
 def test_other_episodes_are_refused(records):

@@ -299,7 +299,7 @@ def test_too_close_is_marked_and_told():
     record = record_of(walk(), separations=separations)
     frames = frames_of(record)
     assert "too close" not in frames[0].plain
-    assert "too close to nobody" in frames[2].plain
+    assert "no step too close so far" in frames[2].plain
     assert "too close 0.75 s (person 2, 0.15 m)" in frames[3].plain
     assert "too close 0.75 to 1.00 s (person 2, 0.12 m)" in frames[4].plain
     assert "too close 0.75 to 1.25 s (person 2, 0.12 m)" in frames[7].plain

@@ -45,9 +45,9 @@ def models(
 def runs(folder: Path = typer.Argument(RUNS, help="folder of run folders (default runs)", show_default=False)) -> None:
     """List the runs in a folder, the newest first, with the success of their final test.
 
-    Success is that with recovery if the run uses it, as in sfmrl eval. A run is running while a process trains it,
-    done once it has finished, and else stopped: go on with it by --resume. It is damaged if its run.json, config.json
-    or result.json is not what was written.
+    Success is measured with recovery if the run uses it, as in sfmrl eval. A run is running while a process trains it,
+    done when it has finished, otherwise stopped: resume it with --resume. It is damaged if its run.json, config.json or
+    result.json has changed since it was written.
     """
     if folder != RUNS and not folder.is_dir():
         raise ConfigError(f"there is no folder {folder}; name one that holds run folders")

@@ -43,6 +43,7 @@ class Command(TyperCommand):
     def format_help(self, context: Any, formatter: Any, everything: bool = False) -> None:
         """Print the help."""
         shown: Any = copy(self)
+        everything = everything or all(each.name != "help_all" for each in self.params)
         shown.params = [
             _as_shown(each) for each in cast(list[Any], self.params) if everything or not each.rich_help_panel
         ]

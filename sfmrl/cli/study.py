@@ -66,7 +66,7 @@ def table(
     print_jobs: bool = option(False, "print the trainings as commands, and run none", "--print-jobs"),
     no_train: bool = option(False, "make the table from finished trainings, train nothing", "--no-train"),
     as_json: bool = options.JSON,
-    csv: Path | None = option(None, "write a line a figure to this file"),
+    csv: Path | None = option(None, "write one line per figure to this file"),
     markdown: Path | None = option(None, "write the tables to this file, as Markdown"),
 ) -> None:
     """Train and test the rows of one of the paper's tables, and show them beside the paper's figures.
@@ -139,12 +139,12 @@ def figure(
     targets: list[str] = typer.Argument(..., help="1 or 2, a table; or run folders", autocompletion=completion.runs),
     *,
     out: Path | None = option(None, "write the figure to this file, .svg, .png or .pdf"),
-    csv: Path | None = option(None, "write a line a validation to this file"),
+    csv: Path | None = option(None, "write one line per validation to this file"),
     selection: Selection,
 ) -> None:
-    """Draw success in validation over trainings: means over a table's seeds with 95 % intervals, or single runs.
+    """Plot validation success during training: means over a table's seeds with 95 % intervals, or single runs.
 
-    Needs matplotlib: pip install "sfmrl[plot]".
+    Needs matplotlib: pip install matplotlib.
     """
     from sfmrl.study.validations import run_validations, table_validations
 
@@ -179,9 +179,9 @@ def plot(
     settings: dict[str, Any],
     scenes: bool = option(False, "draw a sample of each environment, and play nothing", "--scenes"),
 ) -> None:
-    """Draw a test episode in metres: everybody's path with a disc each second; or film it.
+    """Draw a test episode in metres, everybody's path with a disc each second, or make a film of it.
 
-    Needs matplotlib: pip install "sfmrl[plot]".
+    Needs matplotlib: pip install matplotlib.
     """
     from sfmrl.episodes import play_episodes
 

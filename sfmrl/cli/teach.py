@@ -27,7 +27,7 @@ def explain(
     every: int | None = number_option(None, "show every N-th step, and those with events (default a dozen)", 1, STEPS),
     steps: str | None = option(None, "show these steps, e.g. 10:20 (default the whole episode)"),
     as_json: bool = option(False, "print JSON: all steps, all numbers", "--json"),
-    csv: Path | None = option(None, "write a line a step, all numbers, to this file"),
+    csv: Path | None = option(None, "write all numbers to this file, one line per step"),
 ) -> None:
     """Take an episode apart: each step's reward by term, and what the paper's rewards would have paid."""
     from sfmrl.episodes import play_episodes
@@ -57,7 +57,7 @@ def verify(
     ),
     *,
     episodes: int = number_option(
-        100, "test episodes, or demonstrations, to play again at most (default 100)", 1, EPISODES
+        100, "play at most this many test episodes, or demonstrations, again (default 100)", 1, EPISODES
     ),
     tolerance: float | None = number_option(
         None, "share of them that may end otherwise (default 0, or 0.05 if this machine computes other bits)", 0, 1
@@ -67,11 +67,11 @@ def verify(
 ) -> None:
     """Check runs that were handed in: files against SHA256SUMS, weights by playing again.
 
-    Archives are unpacked into a temporary folder. Of several runs, each has a line, and those with the same weights are
+    Archives are unpacked into a temporary folder. Several runs get one line each; those with the same weights are
     named: copies, or the same command and seed. Exit code 0 if all that could be checked agrees, else 1, or 2 if the
-    only run cannot be read. Digests can be forged by recomputing them; that the weights do what the test's table says
-    cannot, but who trained them, and how, is not checked. A reward of the run's own is Python code, and is run only
-    with --trust-reward: read it first.
+    only run cannot be read. Digests can be forged by recomputing them; the replayed test cannot. Who trained the
+    weights, and how, is not checked. If the run has its own reward, that is Python code, and is run only with
+    --trust-reward: read it first.
     """
     from sfmrl.lessons.handed_in import runs_in, same_weights
     from sfmrl.lessons.verify import verify as findings_of

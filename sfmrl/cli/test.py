@@ -26,7 +26,7 @@ def evaluate(
     test: TestOptions,
     settings: dict[str, Any],
     as_json: bool = options.JSON,
-    csv: Path | None = option(None, "write a line an episode to this file"),
+    csv: Path | None = option(None, "write one line per episode to this file"),
     social: bool = SOCIAL,
 ) -> None:
     """Test a policy: success, collisions, time-outs, navigation time, total reward.
@@ -70,12 +70,12 @@ def compare(
     test: TestOptions,
     settings: dict[str, Any],
     as_json: bool = options.JSON,
-    csv: Path | None = option(None, "write a line an episode of each policy to this file"),
+    csv: Path | None = option(None, "write one line per episode and policy to this file"),
     social: bool = SOCIAL,
 ) -> None:
     """Compare policies on the same episodes: differences with intervals, and where only one succeeds.
 
-    Total rewards are those of the first one's reward, and the environment its test mix, unless they are given.
+    Unless you name them, reward and environment are those of the first policy's training and test.
     """
     from sfmrl.study.compare import compare as compare_records
     from sfmrl.study.compare import comparison_rows, comparison_sheets, social_sheet

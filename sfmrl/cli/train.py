@@ -30,7 +30,7 @@ class TrainingOptions:
     run: Path | None = option(None, "run folder to make (default a new one under runs/)")
     resume: Path | None = option(
         None,
-        "go on with this run, to the same bits as if it had never stopped",
+        "resume this run; it ends with the same bits as if it had never stopped",
         autocompletion=completion.unfinished_runs,
     )
     overwrite: bool = option(False, "replace the run in --run, if it exists", "--overwrite")
@@ -96,7 +96,7 @@ def _values(config: Any, names: dict[str, Any]) -> dict[str, Any]:
 
 @command("sfmrl il --preset paper --seed 1", "", "simulation", "reward", "planner", "imitation")
 def il(variant: str | None = VARIANT, *, settings: dict[str, Any], training: TrainingOptions) -> None:
-    """Imitation: learn from ORCA's demonstrations what situations are worth."""
+    """Imitation: learn the values of situations from ORCA's demonstrations."""
     from sfmrl.runs.create import create_run
     from sfmrl.runs.training import run_imitation
 
@@ -130,7 +130,7 @@ def rl(
     training: TrainingOptions,
     threads: int | None = options.THREADS,
 ) -> None:
-    """Reinforcement: deep V-learning on from what imitation gave, then a test."""
+    """Reinforcement: continue from the imitation network by deep V-learning, then test."""
     from sfmrl.lookahead import available_cores
     from sfmrl.runs.create import start_run
     from sfmrl.runs.training import run_reinforcement

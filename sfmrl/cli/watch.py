@@ -23,7 +23,7 @@ class Look:
 
     frames: int | None = number_option(None, "show N stills (default 6 in a pipe, 1 in an SVG)", 1, 10_000)
     at: float | None = number_option(None, "show the still at this time, s", 0, 3600)
-    speed: float = number_option(2.0, "times real time (default 2)", 0.01, 64)
+    speed: float = number_option(2.0, "playback speed, times real time (default 2)", 0.01, 64)
     size: str | None = option(None, "COLUMNSxLINES (default the terminal's; in files 80x24)")
     ascii_only: bool = option(False, "use 7-bit characters only", "--ascii")
     svg: Path | None = option(None, "write the last frame, or the stills one below the other, as a picture")
@@ -62,7 +62,9 @@ class Look:
 def ascii_render(
     policy: str | None = options.POLICY,
     *,
-    versus: str | None = option(None, "a second policy in the same episode, beside it and by its reward"),
+    versus: str | None = option(
+        None, "show a second policy beside the first, in the same episode and by the same reward"
+    ),
     episode: int = options.EPISODE,
     test: TestOptions,
     settings: dict[str, Any],

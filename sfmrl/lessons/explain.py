@@ -1,7 +1,7 @@
 """Explain an episode: what the reward paid in every step, term by term, and what other rewards would have paid.
 
 Step n leads from (n - 1) dt to n dt. The repulsion and the actions' values are those at its start, when the robot
-chooses; the gap is the smallest during it; all else is of its end.
+chooses; the gap is the smallest during it; everything else is from its end.
 """
 
 from collections.abc import Sequence

@@ -3,7 +3,7 @@
 A robot is stuck when its path to the goal (`planner.py`) has not shrunk by `stall_distance` within `stall_time`. From
 then on recovery takes, in the policy's place, the action that shortens the path most, of those that neither collide nor
 lead into a trap. Once no square stands between the robot and its goal, the policy chooses again. Recovery also makes a
-network look farther ahead for traps than in training. It is used in play alone: nothing is learnt from it.
+network look farther ahead for traps than in training. It is used in tests and replays, never in training.
 """
 
 import copy

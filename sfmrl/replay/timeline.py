@@ -42,7 +42,7 @@ def sentence(story: Story, t: int, columns: int = 80) -> Text:
     elif close:
         mark, style, wordings = "!", Style.DANGER, _approaches(story, *close[-1])
     else:
-        words = "too close to nobody so far" if t else "at the start"
+        words = "no step too close so far" if t else "at the start"
         return Text(first_fitting([f" {words}", " nobody close"], columns), Style.DIM)
     words, semicolon, more = first_fitting(wordings, columns - 3).partition(";")
     return Text.assemble((f" {mark} ", style), (words, "bold" if t == story.last else ""), semicolon, more)

@@ -45,7 +45,7 @@ def compare(records: Sequence[Record], policies: Sequence[Policy], names: Sequen
 
 
 def _difference(record: Record, first: Record) -> dict[str, Any]:
-    """Return a record's success and navigation time less the first's, and the episodes in which only one succeeds."""
+    """Return a record's success and navigation time minus the first's, and the episodes in which only one succeeds."""
     ours, theirs = (r.outcome == "success" for r in (record, first))
     both = ours & theirs
     only_this, only_first = int((ours & ~theirs).sum()), int((theirs & ~ours).sum())
@@ -65,7 +65,7 @@ def _social_means(record: Record) -> dict[str, float | None]:
 
 
 def _social_differences(record: Record, first: Record) -> dict[str, Any]:
-    """Return a record's social metrics less the first's: mean differences over the episodes that have both."""
+    """Return a record's social metrics minus the first's: mean differences over the episodes that have both."""
     ours, theirs = social_values(record), social_values(first)
     gaps = {name: (ours[name] - theirs[name])[~np.isnan(ours[name] - theirs[name])] for name in ours}
     return {name: mean_difference(gap, EXACT_BELOW) if len(gap) else None for name, gap in gaps.items()}
@@ -115,7 +115,7 @@ def social_sheet(comparison: dict[str, Any]) -> Sheet:
 
     def line(metric: str) -> dict[str, str]:
         value = first["social"][metric]
-        gaps = {f"{row['policy']} less {first['policy']}": row["less_first"]["social"][metric] for row in others}
+        gaps = {f"{row['policy']} - {first['policy']}": row["less_first"]["social"][metric] for row in others}
         cells = {"metric": metric, first["policy"]: "-" if value is None else rate(value)}
         return cells | {name: estimate(gap) for name, gap in gaps.items()}
 
@@ -138,9 +138,9 @@ def _rates(row: dict[str, Any]) -> dict[str, str]:
 def _gaps(policy: str, gap: dict[str, Any]) -> dict[str, str]:
     return {
         "policy": policy,
-        "success less\nthe first's": estimate(gap["success"]),
+        "success minus\nthe first's": estimate(gap["success"]),
         "p (Holm)": p_value(gap["success"]["p_holm"]),
         "only\nthis": str(gap["only_this"]),
         "only\nfirst": str(gap["only_first"]),
-        "nav. time less\nthe first's": estimate(gap["navigation_time"], seconds),
+        "nav. time minus\nthe first's": estimate(gap["navigation_time"], seconds),
     }

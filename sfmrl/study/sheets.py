@@ -149,7 +149,7 @@ def _difference(row: dict[str, Any]) -> dict[str, str]:
     p, p_holm = ("-" if gap["low"] is None else p_value(gap[name]) for name in ("p", "p_holm"))
     return {
         "row": row["row"],
-        "success\nless SARL's": rate(gap["mean"]),
+        "success\nminus SARL's": rate(gap["mean"]),
         "95 %": interval(gap),
         "p": p,
         "p (Holm)": p_holm,

@@ -206,7 +206,7 @@ def _judge(low: float, high: float, reported: tuple[float, ...]) -> dict[str, An
 
 
 def _less_sarl(table: Table, name: str, rows: dict[str, Figures]) -> dict[str, Any] | None:
-    """Return a row's success less SARL's, paired by seed; None for SARL itself and where nothing can be paired."""
+    """Return a row's success minus SARL's, paired by seed; None for SARL itself and where nothing can be paired."""
     if name == "sarl" or "sarl" not in rows:
         return None
     ours, sarl = rows[name], rows["sarl"]
