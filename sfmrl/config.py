@@ -216,12 +216,15 @@ class Config(Settings):
         return json.dumps(asdict(self), indent=2)
 
     @staticmethod
-    def from_json(text: str | bytes) -> "Config":
-        """The config that `to_json` wrote, its reward `Untrusted`; raises ValueError on anything else."""
-        changes = json_object(text)
-        if RETIRED & set(changes):
-            raise ConfigError("it was made by a version of sfmrl before 0.3.0; install that version to play it")
-        config = override(Config(), changes)
+    def from_json(text: str | bytes, source: object = "this config") -> "Config":
+        """The config that `to_json` wrote, its reward `Untrusted`; raises ConfigError, naming `source`, on all else."""
+        try:
+            changes = json_object(text)
+            if RETIRED & set(changes):
+                raise ConfigError("it was made by a version of sfmrl before 0.3.0; install that version to play it")
+            config = override(Config(), changes)
+        except ValueError as error:
+            raise ConfigError(f"{source} cannot be used: {error}") from None
         return override(config, {"reward": {"reward": Untrusted(config.reward.reward)}})
 
 

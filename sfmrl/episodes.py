@@ -18,7 +18,7 @@ from sfmrl.config import Config, ConfigError, Reward, Simulation, counted
 from sfmrl.geometry import length
 from sfmrl.lookahead import step_discount
 from sfmrl.own_code import checked_array, kind, name_of, read_only
-from sfmrl.policies import find_policy
+from sfmrl.policies import config_of, find_policy
 from sfmrl.rewards import OUTCOMES, RUNNING, OwnReward, Terms, Transition, reward_terms, total
 from sfmrl.scenes import Scenes
 from sfmrl.states import elements_within, robot_states
@@ -131,7 +131,7 @@ def play(
     if not isinstance(scenes, Scenes):
         raise ConfigError(f"scenes is {kind(scenes)}; it takes Scenes, as sample_scenes('circle5', 100) makes them")
     chosen = find_policy(policy, reward)
-    own: Simulation = getattr(chosen, "config", Config()).simulation
+    own = config_of(chosen).simulation
     given = {"robot_visible": robot_visible, "safety_space": safety_space, "crowd": crowd, "kinematics": kinematics}
     simulation = replace(own, **cast(Any, {name: value for name, value in given.items() if value is not None}))
     return play_episodes(scenes, chosen, reward, simulation, discount=Config(discount=discount).discount)  # in range

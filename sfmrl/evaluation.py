@@ -9,7 +9,7 @@ import numpy as np
 from sfmrl.actions import Policy
 from sfmrl.config import EPISODES, Config, Reward, Simulation, in_range
 from sfmrl.episodes import Record, play_episodes
-from sfmrl.policies import find_policy
+from sfmrl.policies import config_of, find_policy
 from sfmrl.rewards import OwnReward
 from sfmrl.scenes import sample_scenes
 
@@ -55,7 +55,7 @@ def evaluation_record(
     """
     in_range("episodes", episodes, 1, EPISODES)
     chosen = find_policy(policy, reward)
-    own = getattr(chosen, "config", Config())
+    own = config_of(chosen)
     settings = own.reward if reward is None else reward
     environment = own.reinforcement.test_environment if environment is None else environment
     simulation = own.simulation if simulation is None else simulation

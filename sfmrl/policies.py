@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from sfmrl.actions import Policy
-from sfmrl.config import ConfigError
+from sfmrl.config import Config, ConfigError
 from sfmrl.geometry import direction
 from sfmrl.lookahead import SarlPolicy, available_cores
 from sfmrl.own_code import OwnPolicy, kind, names_code, trusted
@@ -43,6 +43,12 @@ def find_policy(policy: str | Path | Policy, reward: Any = None) -> Policy:
     if not callable(policy):
         raise ConfigError(f"policy is {kind(policy)}; it takes a name, or a function of (world, crowd_velocity)")
     return policy
+
+
+def config_of(policy: Policy) -> Config:
+    """The config that a policy was trained with; `Config()` without one, or with something else under that name."""
+    config = getattr(policy, "config", None)
+    return config if isinstance(config, Config) else Config()
 
 
 def load_policy(name_or_path: str | Path, threads: int | None = None, *, trust_reward: bool | str = False) -> Policy:

@@ -89,7 +89,7 @@ def test_policies_that_are_alike_differ_in_nothing(records):
     assert found["policies"][1]["less_first"]["success"]["high"] > 0.1
     sheets = comparison_sheets(found, "title")
     assert len(sheets) == 2
-    assert sheets[1].lines[0]["nav. time less\nthe first's"] == "0.00 (-)"
+    assert sheets[1].lines[0]["nav. time minus\nthe first's"] == "0.00 (-)"
 
 
 def test_one_episode_is_called_one_and_a_pair_of_times_has_no_interval(sfmrl):

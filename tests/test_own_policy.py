@@ -62,6 +62,10 @@ def makes_nothing():
 
 
 number = 3
+
+
+class Configured(Counting):
+    config = {"hidden": 64}
 """
 
 
@@ -130,6 +134,8 @@ def test_the_commands_play_it_and_name_the_file_that_they_ran(own, sfmrl):
     assert mine == linear
     compared = json.loads(sfmrl("compare", "linear", f"{own}:make()", *words).stdout)
     assert list(compared["sha256"]) == [f"{own}:make()"]
+    configured = json.loads(sfmrl("eval", f"{own}:Configured()", *words).stdout)  # its config is not one of sfmrl's
+    assert configured["success"] == linear["success"]
     for command in ("ascii-render", "explain"):
         shown = sfmrl(command, f"{own}:straight", "--environment", "circle5")
         assert shown.returncode == 0, shown.stderr

@@ -24,7 +24,7 @@ from sfmrl.maps import load_map
 from sfmrl.policies import load_policy
 from sfmrl.runs.create import create_run, start_run
 from sfmrl.runs.demonstrations import load_demonstrations
-from sfmrl.runs.files import SUMS, DamagedFile, append_rows, read_checked, read_sums, write_atomically
+from sfmrl.runs.files import SUMS, DamagedFile, append_rows, read_checked, read_sums, write_atomically, write_text
 from sfmrl.runs.folders import (
     DEMONSTRATIONS,
     LOCK,
@@ -95,6 +95,16 @@ def test_a_failed_write_leaves_the_old_file_and_names_no_temporary_one(tmp_path,
         assert caught.value.strerror == "No space left on device"
     assert read_checked(path) == b"one"
     assert {p.name for p in tmp_path.iterdir()} == {SUMS, "numbers"}
+
+
+def test_a_replaced_file_keeps_its_mode_and_the_link_to_it(tmp_path):
+    path, link = tmp_path / "rows.csv", tmp_path / "link.csv"
+    path.write_text("old")
+    path.chmod(0o600)
+    link.symlink_to(path)
+    write_text(link, "new")
+    assert link.is_symlink()
+    assert (path.read_text(), path.stat().st_mode & 0o777) == ("new", 0o600)
 
 
 def test_a_file_that_is_not_listed_is_not_trusted(tmp_path):
@@ -337,6 +347,29 @@ def test_an_empty_folder_is_taken_and_a_run_replaced_only_with_overwrite(tmp_pat
     assert (run / "weights.npz").exists()
     create_run("il", Config(), run, overwrite=True)
     assert not (run / "weights.npz").exists()
+    (run / SUMS).write_bytes(b"\xff")
+    create_run("il", Config(), run, overwrite=True)
+    assert open_run(run).config == Config()
+
+
+def test_a_damaged_run_does_not_keep_the_next_one_from_its_own_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    damaged = create_run("il", Config(), None).folder
+    (damaged / SUMS).write_bytes(b"\xff")
+    assert create_run("il", Config(), None).folder == Path(f"{damaged}-2")
+
+
+def test_the_same_command_opens_its_run_whatever_became_of_its_imitation(whole, tmp_path):
+    source, folder = tmp_path / "il", tmp_path / "rl"
+    shutil.copytree(whole, source)
+    begun = start_run(TINY, source, False, folder)
+    shutil.rmtree(source)
+    assert start_run(TINY, source, False, folder, go_on=True) == begun
+    assert start_run(TINY, None, False, folder, go_on=True) == begun
+    with pytest.raises(ConfigError, match=r"was begun from .*il, not from .*name another --run"):
+        start_run(TINY, whole, False, folder, go_on=True)
+    with pytest.raises(ConfigError, match=r"was begun with \"seed\": 0"):
+        start_run(override(TINY, {"seed": 1}), source, False, folder, go_on=True)
 
 
 FOREIGN = {

@@ -369,6 +369,10 @@ def test_the_figure_of_single_runs_has_the_interval_of_each_validation(sfmrl, tm
     for line in lines:
         assert (float(line["low"]), float(line["high"])) == pytest.approx(wilson(round(4 * float(line["mean"])), 4))
     assert "mine" in (tmp_path / "f.svg").read_text()
+    (tmp_path / "mine" / "validation.csv").write_text("episode,success\n0,0.5\n4,")
+    done = sfmrl("figure", "mine", "--out", "f.svg", "--overwrite")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "validation.csv cannot be read" in done.stderr
 
 
 @pytest.mark.parametrize(

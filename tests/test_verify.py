@@ -350,6 +350,7 @@ def test_one_archive_of_one_run_is_told_in_full(sfmrl, copy, tmp_path):
         ("empty", "holds no run folder"),
         ("climbing", "neither a run folder nor an archive that can be unpacked"),
         ("cut", "neither a run folder nor an archive"),
+        ("garbled", "neither a run folder nor an archive"),
         ("huge", "would unpack to 2.0 GiB"),
     ],
 )
@@ -360,6 +361,9 @@ def test_an_archive_that_cannot_be_used_is_one_line(sfmrl, copy, tmp_path, kind,
     elif kind == "cut":
         whole = Path(shutil.make_archive(str(tmp_path / "whole"), "gztar", copy))
         path.write_bytes(whole.read_bytes()[:5000])
+    elif kind == "garbled":
+        whole = Path(shutil.make_archive(str(tmp_path / "whole"), "xztar", copy)).read_bytes()
+        path.write_bytes(whole[:3000] + b"garbled" + whole[3007:])
     else:
         with tarfile.open(path, "w") as packed:
             member = tarfile.TarInfo({"climbing": "../run.json"}.get(kind, "notes.txt"))

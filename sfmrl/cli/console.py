@@ -118,24 +118,20 @@ def print_sheet(sheet: Any) -> None:
     out.print()
 
 
-def new_file(path: Path | None, flag: str, overwrite: bool) -> None:
-    """Raise ConfigError or DamagedFile if an option's file cannot be written, or exists and `overwrite` is False."""
-    if path is None:
-        return
-    if regular(path).exists() and not overwrite:
-        raise ConfigError(f"{path} is there already; name another --{flag}, or replace it with --overwrite")
-    if not path.parent.is_dir():
-        raise ConfigError(f"there is no folder {path.parent} for --{flag} {path.name}")
-    if not os.access(path.parent, os.W_OK):
-        raise ConfigError(f"nothing can be written to folder {path.parent}; name another --{flag}")
-
-
 def new_files(overwrite: bool, **paths: Path | None) -> None:
-    """Check the files of several options as `new_file` does; raises ConfigError if two name the same file."""
+    """Check the files that options name; None is an option that is not given.
+
+    Raises ConfigError or DamagedFile if one cannot be written, exists and `overwrite` is False, or is named twice.
+    """
     named: dict[Path, str] = {}
-    for flag, path in paths.items():
-        new_file(path, flag, overwrite)
-        if path and (other := named.setdefault(path.resolve(), flag)) != flag:
+    for flag, path in ((flag, path) for flag, path in paths.items() if path):
+        if regular(path).exists() and not overwrite:
+            raise ConfigError(f"{path} is there already; name another --{flag}, or replace it with --overwrite")
+        if not path.parent.is_dir():
+            raise ConfigError(f"there is no folder {path.parent} for --{flag} {path.name}")
+        if not os.access(path.parent, os.W_OK):
+            raise ConfigError(f"nothing can be written to folder {path.parent}; name another --{flag}")
+        if (other := named.setdefault(path.resolve(), flag)) != flag:
             raise ConfigError(f"--{other} and --{flag} name the same file; each needs its own")
 
 

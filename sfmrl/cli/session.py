@@ -90,7 +90,7 @@ class TestOptions:
         --trust-reward.
         """
         from sfmrl.own_code import names_code
-        from sfmrl.policies import POLICIES, load_policy
+        from sfmrl.policies import POLICIES, config_of, load_policy
         from sfmrl.recovery import with_recovery
         from sfmrl.rewards import check_read
         from sfmrl.runs.weights import find_weights, model_names
@@ -100,7 +100,7 @@ class TestOptions:
             say(f"policy: {name}")
         trust = self.trust_reward or settings.get("reward", {}).get("reward", False)
         chosen = load_policy(name, self.threads, trust_reward=trust)
-        config = override(getattr(chosen, "config", Config()), settings)
+        config = override(config_of(chosen), settings)
         check_read(config.reward, settings.get("reward", {}))
         if name not in (*POLICIES, *model_names()) and not names_code(name):
             say_habits(find_weights(name), config)
@@ -157,7 +157,7 @@ def simulation_for(policy: Any, config: Config, settings: dict[str, Any]) -> Sim
     So a network for a unicycle and one for a holonomic robot can be compared in the same scenes.
     """
     own = getattr(policy, "config", None)
-    if own is None or "kinematics" in settings.get("simulation", {}):
+    if not isinstance(own, Config) or "kinematics" in settings.get("simulation", {}):
         return config.simulation
     return replace(config.simulation, kinematics=own.simulation.kinematics)
 

@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from sfmrl.cli import completion, options
-from sfmrl.cli.console import err, new_file, new_files, print_sheet, save_rows, say, say_json, say_result
+from sfmrl.cli.console import err, new_files, print_sheet, save_rows, say, say_json, say_result
 from sfmrl.cli.options import command, number_option, option
 from sfmrl.cli.session import TestOptions
 from sfmrl.config import Config, ConfigError, counted, override
@@ -188,7 +188,7 @@ def plot(
     if scenes and policy:
         raise ConfigError(f"--scenes plays nothing; leave out the policy {policy}")
     _check_picture(out, films=not scenes)
-    new_file(out, "out", test.overwrite)
+    new_files(test.overwrite, out=out)
     from sfmrl.study.plots import draw_episode, save, scenes_figure
 
     if scenes:

@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from sfmrl.cli import completion, options
-from sfmrl.cli.console import WIDTH, err, new_file, out, print_table, save_rows, say, say_finding, say_json, say_result
+from sfmrl.cli.console import WIDTH, err, new_files, out, print_table, save_rows, say, say_finding, say_json, say_result
 from sfmrl.cli.options import command, number_option, option
 from sfmrl.cli.session import TestOptions
 from sfmrl.config import EPISODES, STEPS
@@ -34,7 +34,7 @@ def explain(
     from sfmrl.lessons.explain import chosen_steps, explain_episode
     from sfmrl.lessons.tables import explanation_parts
 
-    new_file(csv, "csv", test.overwrite)
+    new_files(test.overwrite, csv=csv)
     chosen, name, config = test.choose(policy, settings)
     scene = test.scene(test.where(config), episode, config)
     record = play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount, keep=True)

@@ -49,9 +49,10 @@ class TrainingOptions:
 
     def existing(self) -> dict[str, Any]:
         """Return what `create_run` should do with an existing run; raises ConfigError if that is unclear."""
-        if self.go_on and self.run is None:
-            raise ConfigError("--continue needs the folder to go on with; name it with --run")
         exclude({"--continue": self.go_on, "--overwrite": self.overwrite})
+        if self.run is None and (self.go_on or self.overwrite):
+            flag, what = ("--continue", "go on with") if self.go_on else ("--overwrite", "replace")
+            raise ConfigError(f"{flag} needs the folder to {what}; name it with --run")
         return {"overwrite": self.overwrite, "go_on": self.go_on}
 
     def new_config(self, variant: str | None, settings: dict[str, Any]) -> Config:
@@ -63,27 +64,18 @@ class TrainingOptions:
         if name := settings.get("reward", {}).get("reward"):
             settings["reward"]["reward"] = absolute(name)
         if self.config is None:
-            config = make_config(preset or "quick", variant or "sarl", **settings)
-            check_read(config.reward, settings.get("reward", {}))
-            return config
-        config = trusted(_read_config(self.config), self.trust_reward)
-        named = make_config(preset or config.preset, variant or "sarl")
-        for table in [PRESETS] * bool(preset) + [VARIANTS] * bool(variant):
-            for entry in table.values():
-                config = override(config, _values(named, entry))
+            config = make_config(preset or "quick", variant or "sarl")
+        elif not self.config.exists():
+            raise ConfigError(f"there is no file {self.config} for --config; name the config.json of a run")
+        else:
+            config = trusted(Config.from_json(read_regular(self.config), self.config), self.trust_reward)
+            named = make_config(preset or config.preset, variant or "sarl")
+            for table in [PRESETS] * bool(preset) + [VARIANTS] * bool(variant):
+                for entry in table.values():
+                    config = override(config, _values(named, entry))
         config = override(config, settings)
         check_read(config.reward, settings.get("reward", {}))
         return config
-
-
-def _read_config(path: Path) -> Config:
-    """Read a config.json; raises ConfigError if it cannot be used."""
-    if not path.exists():
-        raise ConfigError(f"there is no file {path} for --config; name the config.json of a run")
-    try:
-        return Config.from_json(read_regular(path))
-    except ValueError as error:
-        raise ConfigError(f"{path} cannot be used: {error}") from None
 
 
 def _values(config: Any, names: dict[str, Any]) -> dict[str, Any]:

@@ -94,7 +94,7 @@ def ascii_render(
 
 def _print_scenes(test: TestOptions, episode: int, config: Config, room: tuple[int, int], ascii_only: bool) -> None:
     """Print a picture of a sample of one environment, or of each."""
-    from sfmrl.replay import scene_picture
+    from sfmrl.replay.frames import scene_picture
     from sfmrl.scenes import ENVIRONMENTS
 
     for name in "12345" if test.place is None else [test.place]:
@@ -106,7 +106,7 @@ def _print_scenes(test: TestOptions, episode: int, config: Config, room: tuple[i
 
 def _check_two(columns: int, lines: int) -> None:
     """Raise ConfigError if two policies do not fit into a frame."""
-    from sfmrl.replay import SIDE_BY_SIDE_COLUMNS, STACKED_LINES
+    from sfmrl.replay.frames import SIDE_BY_SIDE_COLUMNS, STACKED_LINES
 
     if columns < SIDE_BY_SIDE_COLUMNS and lines < STACKED_LINES:
         needed = f"{SIDE_BY_SIDE_COLUMNS} columns or {STACKED_LINES} lines"
@@ -119,7 +119,8 @@ def _replay(
     """Return the replay of an episode as every policy plays it; the first one's config decides reward and scene."""
     from sfmrl.episodes import play_episodes
     from sfmrl.maps import why_unsolvable
-    from sfmrl.replay import Replay, make_story
+    from sfmrl.replay.frames import Replay
+    from sfmrl.replay.story import make_story
 
     policies, named, (config, *_) = zip(*(test.choose(name, settings) for name in names), strict=True)
     scene = test.scene(test.where(config), episode, config)
@@ -137,7 +138,8 @@ def _replay(
 
 def _show(replay: Any, look: Look, room: tuple[int, int]) -> None:
     """Write a replay to files, print stills of it, or play it in the terminal."""
-    from sfmrl.replay import play_live, to_cast, to_svg
+    from sfmrl.replay.recordings import to_cast, to_svg
+    from sfmrl.replay.screen import play_live
 
     if look.svg:
         shown = replay.frames(*room, look.frames or 1, look.at)

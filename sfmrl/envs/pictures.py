@@ -9,7 +9,8 @@ from sfmrl.envs.crowd import Crowd
 from sfmrl.episodes import Record
 from sfmrl.geometry import length
 from sfmrl.lookahead import step_discount
-from sfmrl.replay import Replay, make_story
+from sfmrl.replay.frames import Replay
+from sfmrl.replay.story import make_story
 from sfmrl.rewards import RUNNING, TIMEOUT, Transition, total
 from sfmrl.scenes import Scenes
 from sfmrl.world import World, transition

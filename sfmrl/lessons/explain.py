@@ -15,7 +15,7 @@ from sfmrl.config import ConfigError, Reward
 from sfmrl.episodes import Record
 from sfmrl.geometry import length, wrapped
 from sfmrl.lookahead import Lookahead, step_discount
-from sfmrl.replay import Story, make_story
+from sfmrl.replay.story import Story, make_story
 from sfmrl.rewards import Transition, reward_terms, total
 from sfmrl.sfm import resultant
 
@@ -95,7 +95,7 @@ def _columns(story: Story, transition: Transition, factors: np.ndarray) -> dict[
         "event": _events(story),
         "velocity_x": story.velocity[1:, 0, 0],
         "velocity_y": story.velocity[1:, 0, 1],
-        **_turns(story),
+        **({} if story.heading is None else {"turn": np.degrees(wrapped(np.diff(story.heading)))}),  # to the left
         "goal_distance": transition.goal_distance,
         "gap": np.where(np.isfinite(gap), gap, None),
         "nearest": _nearest(story),
@@ -163,11 +163,6 @@ def _events(story: Story) -> list[str]:
         for step in np.flatnonzero(passed_over & ~story.stuck).tolist():
             events[step].append("best action passed over: it may lead into a trap")
     return ["; ".join(words) for words in events]
-
-
-def _turns(story: Story) -> dict[str, np.ndarray]:
-    """Return a unicycle robot's turn in each step, in degrees to the left; nothing for a holonomic robot."""
-    return {} if story.heading is None else {"turn": np.degrees(wrapped(np.diff(story.heading)))}
 
 
 def _nearest(story: Story) -> list[str]:

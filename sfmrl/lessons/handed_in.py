@@ -70,9 +70,9 @@ def _unpack(path: Path, folder: Path) -> None:
             with zipfile.ZipFile(path) as packed:
                 _check_size(path, sum(member.file_size for member in packed.infolist()))
                 packed.extractall(folder)
-    except (tarfile.TarError, zipfile.BadZipFile, OSError, EOFError, RuntimeError, ValueError) as error:
-        if isinstance(error, ConfigError):
-            raise
+    except ConfigError:
+        raise
+    except Exception as error:  # damaged archives can raise anything, as zlib.error and LZMAError
         raise ConfigError(f"{path} is neither a run folder nor an archive that can be unpacked: {error}") from None
 
 

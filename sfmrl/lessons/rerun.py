@@ -1,25 +1,24 @@
 """Play again the episodes behind a run's numbers: its network's test episodes, or ORCA's demonstrations."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from sfmrl.config import Reward, counted, json_object
-from sfmrl.episodes import Record, play_episodes
-from sfmrl.evaluation import episode_rows, evaluation_record
+from sfmrl.episodes import Record
+from sfmrl.evaluation import episode_rows
+from sfmrl.imitation import demonstrate
 from sfmrl.lookahead import SarlPolicy
-from sfmrl.policies import orca_policy
 from sfmrl.recovery import with_recovery
 from sfmrl.runs.demonstrations import load_demonstrations
 from sfmrl.runs.files import read_listed, read_table
 from sfmrl.runs.folders import DEMONSTRATIONS, WEIGHTS
 from sfmrl.runs.progress import Progress
 from sfmrl.runs.run import Run
-from sfmrl.runs.training import EVALUATION_SEED
+from sfmrl.runs.training import play
 from sfmrl.runs.weights import load_weights
-from sfmrl.scenes import sample_scenes
 
 TIME_TOLERANCE = 0.05  # where the bits differ, the largest median difference of the episodes' times, as a share
 
@@ -45,15 +44,14 @@ class Rerun:
 
     def demonstrations(self, run: Run) -> str:
         """Compare the demonstrations on file with ORCA's own in the same scenes."""
-        settings, simulation = run.config.imitation, run.config.simulation
-        stored = load_demonstrations(run.folder / DEMONSTRATIONS, simulation)
+        settings = run.config.imitation
+        stored = load_demonstrations(run.folder / DEMONSTRATIONS, run.config.simulation)
         whole = counted(len(stored.steps), "demonstration")
         if len(stored.steps) != settings.episodes:
             raise Disagreement(f"it holds {whole}, config.json asks for {settings.episodes}")
         count = min(self.episodes, settings.episodes)
-        how: dict[str, Any] = {"phase": "imitation", "random_attributes": simulation.random_attributes}
-        scenes = sample_scenes(settings.environment, count, run.config.seed, **how)
-        again = play_episodes(scenes, orca_policy, Reward(), simulation)  # any reward: ORCA's paths do not depend on it
+        # Any reward: ORCA's paths do not depend on it, and the run's own may be code that is not to be run.
+        again = demonstrate(replace(run.config, reward=Reward(), imitation=replace(settings, episodes=count)))
         stored = stored.take(np.arange(count))
         exact = np.array_equal(stored.position[:, : again.position.shape[1]], again.position, equal_nan=True)
         return self.judged(f"of {whole}, played by ORCA again,", again, stored.outcome, stored.steps, exact)
@@ -76,18 +74,10 @@ class Rerun:
 
     def _play(self, run: Run, recover: bool = False) -> Record:
         """Play test episodes as a training plays them at its end."""
-        network, _ = load_weights(run.folder / WEIGHTS)
-        policy, settings = SarlPolicy(network, run.config, self.threads), run.config.reinforcement
-        episodes = min(self.episodes, settings.test_episodes)
-        with self.progress("test", episodes) as advance:
-            return evaluation_record(
-                with_recovery(policy, run.config.planner) if recover else policy,
-                environment=settings.test_environment,
-                episodes=episodes,
-                seed=EVALUATION_SEED,
-                simulation=run.config.simulation,
-                progress=advance,
-            )
+        network, config = load_weights(run.folder / WEIGHTS)[0], run.config
+        alone = SarlPolicy(network, config, self.threads)
+        policy = with_recovery(alone, config.planner) if recover else alone
+        return play(policy, "test", min(self.episodes, config.reinforcement.test_episodes), self.progress)
 
     def judged(
         self, what: str, again: Record, outcome: np.ndarray, steps: np.ndarray | None = None, exact: bool = False

@@ -13,21 +13,3 @@ An episode first becomes a `Story`, arrays over its moments. A `Replay` of one o
     screen.py       playback in a terminal, with keys
     recordings.py   SVG and asciinema recordings
 """
-
-from sfmrl.replay.frames import SIDE_BY_SIDE_COLUMNS, STACKED_LINES, Frame, Replay, scene_picture
-from sfmrl.replay.recordings import to_cast, to_svg
-from sfmrl.replay.screen import play_live
-from sfmrl.replay.story import Story, make_story
-
-__all__ = [
-    "SIDE_BY_SIDE_COLUMNS",
-    "STACKED_LINES",
-    "Frame",
-    "Replay",
-    "Story",
-    "make_story",
-    "play_live",
-    "scene_picture",
-    "to_cast",
-    "to_svg",
-]

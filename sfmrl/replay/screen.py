@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -90,22 +89,20 @@ def play_live(
                 live.update(_with_hints(picture(), player, console) if read else picture(), refresh=True)
                 now, step = time.monotonic(), time_step / player.speed
                 due = min(max(due + step, now), now + step)  # drawing takes time, too: wait only for the rest
-                player = _after_wait(player, due, read, partial(_has_size, console, size))
+                player = _after_wait(player, due, read, console, size)
             shown = shown if player is None else player.moment
     finally:
         console.print(picture())
 
 
-def _has_size(console: Console, size: tuple[int, int]) -> bool:
-    return console.size == size
-
-
-def _after_wait(player: Player, due: float, read: Callable | None, unchanged: Callable[[], bool]) -> Player | None:
+def _after_wait(
+    player: Player, due: float, read: Callable | None, console: Console, size: tuple[int, int]
+) -> Player | None:
     """The player one moment later at the time `due`, or before that, after the keys that were pressed.
 
-    It is returned as it is as soon as the terminal is not `unchanged`, so that the same moment is drawn again.
+    It is returned as it is as soon as the terminal has another `size`, so that the same moment is drawn again.
     """
-    while unchanged():
+    while console.size == size:
         left = due - time.monotonic() if player.playing and not player.legend else LONGEST_WAIT
         if left <= 0:
             return player.step(1)

@@ -17,7 +17,6 @@ from sfmrl.episodes import Record
 from sfmrl.lookahead import Lookahead, SarlPolicy, step_discount
 from sfmrl.rewards import RUNNING, reward_terms, total
 from sfmrl.sfm import repulsive_forces
-from sfmrl.world import World
 
 ELEMENT_GLYPHS = digits[1:] + ascii_letters
 
@@ -79,7 +78,7 @@ def make_story(record: Record, row: int, policy: Policy | None, reward: Reward, 
     """
     record = record.take(np.array([row]))
     scenes, steps = record.scenes, int(record.steps[0])
-    moments = _moments(record)
+    moments = record.world_at(np.zeros(steps + 1, dtype=int), np.arange(steps + 1))
     step = record.transition[0, :steps]
     terms = reward_terms(reward)(step)
     factors = step_discount(discount, scenes.v_pref[0, 0], record.simulation) ** np.arange(steps)
@@ -107,12 +106,6 @@ def make_story(record: Record, row: int, policy: Policy | None, reward: Reward, 
         stuck=notes.get("stuck", np.zeros(steps, dtype=bool)),
         heading=moments.heading,
     )
-
-
-def _moments(record: Record) -> World:
-    """The world at each of the T + 1 moments of a record of one episode."""
-    steps = np.arange(record.steps[0] + 1)
-    return record.world_at(np.zeros_like(steps), steps)
 
 
 def _stretches(numbers: np.ndarray) -> tuple[tuple[int, int], ...]:

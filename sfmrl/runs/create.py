@@ -97,11 +97,7 @@ def _make(folder: Path, files: dict[str, str], overwrite: bool) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder):
         _check_replaceable(folder, overwrite)  # another process may have made a run in the meantime
-        try:
-            listed = read_sums(folder)
-        except DamagedFile:
-            listed = {}
-        if MAP in listed:
+        if MAP in _listed(folder):
             (folder / MAP).unlink(missing_ok=True)
         elif MAP in files and (folder / MAP).exists():
             raise ConfigError(f"{folder / MAP} does not belong to the run; move it away, or name another --run")
@@ -115,9 +111,11 @@ def _make(folder: Path, files: dict[str, str], overwrite: bool) -> None:
 
 def _check_replaceable(folder: Path, overwrite: bool) -> None:
     """Raise ConfigError if the folder holds anything but a run, or a run that must not be replaced."""
-    if not folder.exists() or (folder.is_dir() and _counts_as_empty(folder)):
+    if not folder.exists():
         return
     if kind_of(folder) is None:
+        if folder.is_dir() and _counts_as_empty(folder):
+            return
         spared = ", so --overwrite leaves it alone" if overwrite else ""
         raise ConfigError(f"{folder} is there already, and is not a run folder{spared}; name another --run")
     if overwrite:
@@ -133,8 +131,16 @@ def _counts_as_empty(folder: Path) -> bool:
     names = {path.name for path in folder.iterdir()} - {path.name for path in leftovers(folder)} - {LOCK}
     if not names:
         return True
-    listed = set(read_sums(folder))
+    listed = _listed(folder)
     return bool(listed) and listed <= set(FIRST) and names <= {SUMS, *listed} - {"run.json"}
+
+
+def _listed(folder: Path) -> set[str]:
+    """The names in a folder's SHA256SUMS; none if that file is damaged."""
+    try:
+        return set(read_sums(folder))
+    except DamagedFile:
+        return set()
 
 
 def open_same(folder: Path, kind: str, config: Config, remedy: str = "name another --run") -> Run:
@@ -155,6 +161,8 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
     `value_prior`. `existing` is passed to `create_run`. Raises ConfigError, with what to type, if no source fits.
     """
     check_names(config)  # first: the imitation run that the next error may ask for takes minutes to make
+    if existing.get("go_on") and folder is not None and kind_of(folder):
+        return _started(config, source, folder)
     if from_scratch:
         return create_run("rl", config, folder, **existing)
     if source is not None and source.is_file():
@@ -171,6 +179,17 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
     config = replace(config, imitation=imitation.config.imitation)
     demonstrations = read_sums(source)[DEMONSTRATIONS]
     return create_run("rl", config, folder, source, **existing, demonstrations=demonstrations)
+
+
+def _started(config: Config, source: Path | None, folder: Path) -> Run:
+    """The run in `folder`, begun with this config and `source`, if one is named; the source may be gone by now."""
+    begun = open_run(folder, "rl")
+    weights = begun.facts.get("weights")
+    begun_from = Path(weights["file"]) if weights else begun.imitation
+    if source and (begun_from is None or source.resolve() != begun_from.resolve()):
+        raise ConfigError(f"{folder} was begun from {begun_from or 'nothing'}, not from {source}; name another --run")
+    prior = begun.config.value_prior if weights else config.value_prior
+    return open_same(folder, "rl", replace(config, imitation=begun.config.imitation, value_prior=prior))
 
 
 def _start_from_weights(config: Config, source: Path) -> tuple[Config, dict[str, str]]:

@@ -8,6 +8,7 @@ import hashlib
 import io
 import os
 import re
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -31,6 +32,8 @@ def write_together(folder: Path, files: dict[str, bytes], *, checked: bool = Tru
     try:
         for name, data in files.items():
             with _naming(folder / name), open(temporary[name], "wb") as file:
+                with suppress(FileNotFoundError):
+                    shutil.copymode(folder / name, temporary[name])
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())
@@ -53,7 +56,8 @@ def write_together(folder: Path, files: dict[str, bytes], *, checked: bool = Tru
 
 
 def write_atomically(path: Path, data: bytes, *, checked: bool = True) -> str:
-    """Write one file as `write_together` does; returns its SHA-256."""
+    """Write one file as `write_together` does, of a symbolic link the file that it names; returns its SHA-256."""
+    path = path.resolve()
     write_together(path.parent, {path.name: data}, checked=checked)
     return sha256(data)
 

@@ -95,10 +95,7 @@ def open_run(folder: Path, kind: str | None = None) -> Run:
     version = str(facts["versions"].get("sfmrl"))
     if version.startswith(OLDER):
         raise ConfigError(f"{folder} was made by sfmrl {version}; install that version to play it or go on with it")
-    try:
-        config = Config.from_json(read_checked(folder / "config.json"))
-    except ValueError as error:
-        raise ConfigError(f"{folder / 'config.json'} cannot be used: {error}") from None
+    config = Config.from_json(read_checked(folder / "config.json"), folder / "config.json")
     if kind and facts["kind"] != kind:
         raise ConfigError(f"{folder} is a run of sfmrl {facts['kind']}, not of sfmrl {kind}; name one of those")
     return Run(folder, facts["kind"], config, facts)

@@ -46,10 +46,7 @@ def load_weights(path: Path) -> tuple[FastNetwork, Config]:
     if not isinstance(content, dict) or not {"weights", "config"} <= set(content):
         network = network_from(content, str(path))
         return network, Config(preset="paper", forces=network.forces)
-    try:
-        config = Config.from_json(content["config"])
-    except ValueError as error:
-        raise ConfigError(f"the config in {path} cannot be used: {error}") from error
+    config = Config.from_json(content["config"], f"the config in {path}")
     network = network_from(content["weights"], str(path), config.value_prior)
     if network.forces != config.forces:
         raise ConfigError(f"the config in {path} cannot be used: its network reads other columns than it says")

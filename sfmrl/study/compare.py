@@ -10,7 +10,7 @@ from sfmrl.config import ConfigError, counted
 from sfmrl.episodes import Record
 from sfmrl.evaluation import RATES, episode_rows, metrics
 from sfmrl.study.sheets import Sheet, estimate, p_value, rate, rate_interval, seconds
-from sfmrl.study.social import SOCIAL_METRICS, social_rows, social_values
+from sfmrl.study.social import SOCIAL_METRICS, mean_known, social_rows, social_values
 from sfmrl.study.statistics import holm, mean_difference, success_difference
 
 LISTED = 20  # differing episodes that the terminal shows; JSON has all
@@ -29,46 +29,38 @@ def compare(records: Sequence[Record], policies: Sequence[Policy], names: Sequen
     first, *others = records
     if not all(np.array_equal(record.scenes.start, first.scenes.start, equal_nan=True) for record in others):
         raise ConfigError("policies can only be compared on the same episodes")
-    rows = []
-    for record, policy, name in zip(records, policies, names, strict=True):
+    rows, social = [], [social_values(record) for record in records]
+    for record, policy, name, values in zip(records, policies, names, social, strict=True):
         measured = metrics(record, policy)
         compared = ("episodes", *RATES, "intervals", "navigation_time", "total_reward", "recovered")
         figures = {key: measured[key] for key in compared if key in measured}
-        rows.append({"policy": name} | figures | {"social": _social_means(record)})
-    for row, record in zip(rows[1:], others, strict=True):
-        row["less_first"] = _difference(record, first)
+        rows.append({"policy": name} | figures | {"social": {m: mean_known(value) for m, value in values.items()}})
+    for row, record, values in zip(rows[1:], others, social[1:], strict=True):
+        gaps = {metric: _mean_gap(values[metric] - social[0][metric]) for metric in SOCIAL_METRICS}
+        row["less_first"] = _difference(record, first) | {"social": gaps}
     for metric in ("success", "navigation_time"):
-        holm([row["less_first"][metric] for row in rows[1:] if row["less_first"][metric]])
+        holm(row["less_first"][metric] for row in rows[1:])
     for metric in SOCIAL_METRICS:
-        holm([row["less_first"]["social"][metric] for row in rows[1:] if row["less_first"]["social"][metric]])
+        holm(row["less_first"]["social"][metric] for row in rows[1:])
     return {"policies": rows, "differing": _differing(records, names)}
 
 
 def _difference(record: Record, first: Record) -> dict[str, Any]:
     """Return a record's success and navigation time minus the first's, and the episodes in which only one succeeds."""
     ours, theirs = (r.outcome == "success" for r in (record, first))
-    both = ours & theirs
     only_this, only_first = int((ours & ~theirs).sum()), int((theirs & ~ours).sum())
     return {
         "success": success_difference(only_this, only_first, len(ours)),
-        "navigation_time": mean_difference((record.time - first.time)[both], EXACT_BELOW) if both.any() else None,
+        "navigation_time": _mean_gap(np.where(ours & theirs, record.time - first.time, np.nan)),
         "only_this": only_this,
         "only_first": only_first,
-        "social": _social_differences(record, first),
     }
 
 
-def _social_means(record: Record) -> dict[str, float | None]:
-    """Return a record's social metrics as means over the episodes that have a value, as their differences are."""
-    known = {name: values[~np.isnan(values)] for name, values in social_values(record).items()}
-    return {name: float(values.mean()) if len(values) else None for name, values in known.items()}
-
-
-def _social_differences(record: Record, first: Record) -> dict[str, Any]:
-    """Return a record's social metrics minus the first's: mean differences over the episodes that have both."""
-    ours, theirs = social_values(record), social_values(first)
-    gaps = {name: (ours[name] - theirs[name])[~np.isnan(ours[name] - theirs[name])] for name in ours}
-    return {name: mean_difference(gap, EXACT_BELOW) if len(gap) else None for name, gap in gaps.items()}
+def _mean_gap(gaps: np.ndarray) -> dict[str, Any] | None:
+    """Return the figure of differences `gaps` (E,), one an episode and NaN where there is none; None without any."""
+    known = gaps[~np.isnan(gaps)]
+    return mean_difference(known, EXACT_BELOW) if len(known) else None
 
 
 def _differing(records: Sequence[Record], names: Sequence[str]) -> list[dict[str, Any]]:

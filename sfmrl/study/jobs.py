@@ -89,11 +89,11 @@ def run_jobs(
 
 
 def _episodes_played(job: Job) -> int:
-    """Return the training episodes in a run's metrics."""
+    """Return the training episodes in a run's metrics, which are read only while they grow."""
     path = job.folder / "metrics.csv"
     if not job.episodes or not path.exists():
         return 0
-    return max(0, read_regular(path).count(b"\n") - 1)
+    return job.episodes if finished(job.folder) else max(0, read_regular(path).count(b"\n") - 1)
 
 
 class Processes:

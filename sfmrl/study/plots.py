@@ -27,7 +27,8 @@ ROBOT, PERSON, SQUARE, GOAL = "tab:blue", "tab:orange", "0.6", "tab:red"
 
 def validation_figure(lines: list[dict[str, Any]], title: str) -> Figure:
     """Success in validation over the training: a curve a row, its 95 % interval as a band, from `validation_rows`."""
-    figure, axes = _blank(7.0, 4.2)
+    figure = Figure(figsize=(7.0, 4.2), layout="constrained")
+    axes = figure.add_subplot()
     for name in dict.fromkeys(line["row"] for line in lines):
         course = [line for line in lines if line["row"] == name]
         episodes, mean, low, high = ([line[key] for line in course] for key in ("episode", "mean", "low", "high"))
@@ -113,17 +114,12 @@ def save(figure: Figure, path: Path) -> None:
     write_atomically(path, data.getvalue(), checked=False)
 
 
-def _blank(width: float, height: float) -> tuple[Figure, Axes]:
-    """A figure of `width` x `height` inches with one pair of axes."""
-    figure = Figure(figsize=(width, height), layout="constrained")
-    return figure, figure.add_subplot()
-
-
 def _stage(record: Record, episode: int) -> tuple[Figure, Axes, Scenes, np.ndarray]:
     """A figure in metres with an episode's squares and goal, the scene as a batch of one, positions (T + 1, N, 2)."""
     one = record.take([episode])
     scenes, position = one.scenes, one.position[0, : one.steps[0] + 1]
-    figure, axes = _blank(5.6, 5.6)
+    figure = Figure(figsize=(5.6, 5.6), layout="constrained")
+    axes = figure.add_subplot()
     _surroundings(axes, scenes, position)
     end = f"{one.outcome[0]} after {one.time[0]:.2f} s"
     axes.set_title(f"environment {scenes.environment[0]}, episode {scenes.episode[0]}: {end}", fontsize=10)

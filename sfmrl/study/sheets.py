@@ -109,17 +109,13 @@ def _rates(row: dict[str, Any]) -> dict[str, str]:
     return {
         "row": row["row"],
         "paper": "/".join(rate(value).removesuffix("0") for value in row["paper"]["success"]),
-        "success": _over_seeds(figures["success"]),
+        "success": rate_interval(*(figures["success"][end] for end in ("mean", "low", "high"))),
         "people +\nsquares": f"{rate(mean['human_collision'])}+{rate(mean['square_collision'])}",
         "time-out": rate(mean["timeout"]),
         "nav.\ntime": seconds(mean["navigation_time"]),
         "total\nreward": number(mean["total_reward"]),
         "the paper\nis": row["verdict"],
     }
-
-
-def _over_seeds(figure: dict[str, Any]) -> str:
-    return rate_interval(figure["mean"], figure["low"], figure["high"])
 
 
 def _points(row: dict[str, Any], seeds: str) -> dict[str, str]:

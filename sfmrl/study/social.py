@@ -7,7 +7,7 @@ move straight on, as in rewards and collisions. A time-out counts the steps that
 import numpy as np
 
 from sfmrl.episodes import Record
-from sfmrl.geometry import length
+from sfmrl.geometry import length, wrapped
 from sfmrl.recovery.planner import shortest_path
 from sfmrl.sfm import repulsive_forces, resultant
 
@@ -40,9 +40,9 @@ def social_metrics(record: Record) -> dict[str, float | None]:
     """
     values = social_values(record)
     danger, gap = _danger(record)
-    result = {name: _mean(value) for name, value in values.items()}
-    result["danger_frequency"] = _mean(danger[record.played])
-    result["danger_separation"] = _mean(gap[danger])
+    result = {name: mean_known(value) for name, value in values.items()}
+    result["danger_frequency"] = mean_known(danger[record.played])
+    result["danger_separation"] = mean_known(gap[danger])
     return result
 
 
@@ -57,19 +57,20 @@ def social_values(record: Record) -> dict[str, np.ndarray]:
     approach = record.velocity[:, :-1, 1:] - record.velocity[:, :-1, :1]
     reach = record.scenes.radius[:, :1] + record.scenes.radius[:, 1:]
     action = record.velocity[:, 1:, 0]  # (E, T, 2): what the robot did in each step
-    path = _sum(length(np.diff(record.position[:, :, 0], axis=1)))
+    path = np.nansum(length(np.diff(record.position[:, :, 0], axis=1)), axis=-1)
     force = repulsive_forces(-offset)
-    work = length(resultant(force)) + _sum(length(force))
+    change = np.nansum(length(np.diff(action, 2, axis=1)), axis=-1) / dt**2  # (E,) m/s^3, of all steps together
+    work = length(resultant(force)) + np.nansum(length(force), axis=-1)
     with np.errstate(invalid="ignore"):
         return {
             "danger_frequency": danger.sum(axis=1) / steps,
             "danger_separation": _ratio(np.where(danger, gap, 0.0).sum(axis=1), danger.sum(axis=1)),
             "path_length": path,
             "spl": _spl(record, path),
-            "min_gap": _finite(np.where(played, gap, np.inf).min(axis=1)),
+            "min_gap": np.nan_to_num(np.where(played, gap, np.inf).min(axis=1), nan=np.nan, posinf=np.nan),
             **{name: (played & (gap < zone)).sum(axis=1) / steps for name, zone in ZONES.items()},
             "min_ttc": _time_to_collision(offset, approach, reach[:, None]).min(axis=(1, 2), initial=LONGEST_TTC),
-            "jerk": _ratio(_sum(length(np.diff(action, 2, axis=1))) / dt**2, np.maximum(steps - 2, 0)),
+            "jerk": _ratio(change, np.maximum(steps - 2, 0)),
             "heading_change": _turned(action),
             "social_work": np.where(played, work, 0.0).sum(axis=1) * dt,
         }
@@ -126,12 +127,7 @@ def _turned(velocity: np.ndarray) -> np.ndarray:
     last = np.where(last < 0, moving.argmax(axis=1)[:, None], last)
     angle = np.take_along_axis(np.arctan2(velocity[..., 1], velocity[..., 0]), last, axis=1)
     turn = np.diff(np.where(moving.any(axis=1, keepdims=True), angle, 0.0), axis=1)
-    return np.abs((turn + np.pi) % (2 * np.pi) - np.pi).sum(axis=1)
-
-
-def _sum(values: np.ndarray) -> np.ndarray:
-    """Sum over the last axis, without NaN."""
-    return np.nansum(values, axis=-1)
+    return np.abs(wrapped(turn)).sum(axis=1)
 
 
 def _ratio(total: np.ndarray, count: np.ndarray) -> np.ndarray:
@@ -139,11 +135,7 @@ def _ratio(total: np.ndarray, count: np.ndarray) -> np.ndarray:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def _finite(values: np.ndarray) -> np.ndarray:
-    return np.where(np.isfinite(values), values, np.nan)
-
-
-def _mean(values: np.ndarray) -> float | None:
+def mean_known(values: np.ndarray) -> float | None:
     """Mean of the values that are not NaN; None without any."""
     known = values[~np.isnan(values)]
     return float(known.mean()) if len(known) else None

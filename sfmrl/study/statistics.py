@@ -9,7 +9,7 @@ show no spread), and for a difference the two-sided p-value `p` of no difference
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Any
 
@@ -133,11 +133,11 @@ def sign_test(ups: int, downs: int) -> float:
     return min(1.0, 2 * sum(math.exp(log - n * math.log(2)) for log in logs))
 
 
-def holm(differences: list[dict[str, Any]]) -> None:
-    """Add to each difference its p-value adjusted for being one of several (Holm, 1979), `p_holm`."""
-    adjusted = 0.0
-    for rank, difference in enumerate(sorted(differences, key=lambda difference: difference["p"])):
-        adjusted = min(1.0, max(adjusted, difference["p"] * (len(differences) - rank)))
+def holm(differences: Iterable[dict[str, Any] | None]) -> None:
+    """Add to each difference that is not None its p-value adjusted for being one of several (Holm, 1979), `p_holm`."""
+    known, adjusted = sorted(filter(None, differences), key=lambda difference: difference["p"]), 0.0
+    for rank, difference in enumerate(known):
+        adjusted = min(1.0, max(adjusted, difference["p"] * (len(known) - rank)))
         difference["p_holm"] = adjusted
 
 
@@ -172,7 +172,7 @@ def summarise(table: Table, rows: dict[str, Figures]) -> list[dict[str, Any]]:
                 "difference": _less_sarl(table, name, rows),
             }
         )
-    holm([row["difference"] for row in summary if row["difference"]])
+    holm(row["difference"] for row in summary)
     return summary
 
 

@@ -30,15 +30,18 @@ def run_validations(folders: list[str]) -> list[dict[str, Any]]:
 
     Raises ConfigError if a folder is no reinforcement run or has no validation yet, DamagedFile if it is damaged.
     """
-    lines = []
+    lines: list[dict[str, Any]] = []
     for folder in folders:
         run = open_run(Path(folder), "rl")
         episodes = run.config.reinforcement.validation_episodes
-        path = run.folder / "validation.csv"
-        if not (rows := read_table(path) if path.exists() else []):
+        path, before = run.folder / "validation.csv", len(lines)
+        try:
+            for row in read_table(path) if path.exists() else []:
+                success = float(row["success"])
+                low, high = wilson(round(success * episodes), episodes)
+                lines.append({"row": folder, "episode": int(row["episode"]), "mean": success, "low": low, "high": high})
+        except (ValueError, LookupError, ArithmeticError) as error:  # as a killed training can leave it
+            raise ConfigError(f"{path} cannot be read ({error!r}); resume the training, or put back a copy") from None
+        if len(lines) == before:
             raise ConfigError(f"{folder} has no validation yet; wait for its first one")
-        for row in rows:
-            success = float(row["success"])
-            low, high = wilson(round(success * episodes), episodes)
-            lines.append({"row": folder, "episode": int(row["episode"]), "mean": success, "low": low, "high": high})
     return lines
