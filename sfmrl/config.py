@@ -83,7 +83,7 @@ class Settings:
 class Simulation(Settings):
     """Who the humans are, how they move, and when an episode ends; CrowdNav's values."""
 
-    time_step: float = knob(0.25, "length of a step, s", 1e-3, 10)
+    time_step: float = knob(0.25, "length of a step, s", 1e-3, 1)
     time_limit: float = knob(25.0, "an episode is timed out 1 s before this time, s (CrowdNav)", 1, 3600)
     crowd: str = knob("orca", "what drives the humans", choices=("orca", "sfm"))
     kinematics: str = knob(
@@ -141,7 +141,7 @@ class Planner(Settings):
     recover: bool = knob(False, "in tests and replays, lead a stuck robot around squares and look farther ahead (ours)")
     stall_time: float = knob(2.0, "recover: time without progress after which the robot is stuck, s", 0, 3600)
     stall_distance: float = knob(0.25, "recover: progress shortens the path to the goal by at least this, m", 0, 1000)
-    resolution: float = knob(0.1, "paths around squares: side of the grid's cells, m", 0.02, 10)
+    resolution: float = knob(0.1, "paths around squares: side of the grid's cells, m", 0.02, 0.4)
     inflation: float = knob(0.1, "paths around squares: cells nearer to a square than this cost more, m", 0, 10)
 
 
@@ -199,7 +199,7 @@ class Config(Settings):
         "and a robot without elements goes straight (ours)",
     )
     optimizer: str = knob("sgd", "sgd with momentum 0.9, or adam with a rate that falls to 0", choices=("sgd", "adam"))
-    mirror: bool = knob(False, "mirror half of each batch left to right, which changes no state's value (ours)")
+    mirror: bool = knob(False, "mirror every other state of a batch left to right, which changes no value (ours)")
     simulation: Simulation = field(default_factory=Simulation)
     reward: Reward = field(default_factory=Reward)
     planner: Planner = field(default_factory=Planner)

@@ -17,7 +17,7 @@ from sfmrl.batch import Batch
 from sfmrl.config import Config, ConfigError, Reward, Simulation, counted
 from sfmrl.geometry import length
 from sfmrl.lookahead import step_discount
-from sfmrl.own_code import checked_array, kind, name_of, read_only
+from sfmrl.own_code import checked_action, kind, name_of, read_only
 from sfmrl.policies import config_of, find_policy
 from sfmrl.rewards import OUTCOMES, RUNNING, OwnReward, Terms, Transition, reward_terms, total
 from sfmrl.scenes import Scenes
@@ -217,7 +217,7 @@ def _choice(policy: Policy, world: World, moves: np.ndarray, keep: bool) -> tupl
     """The policy's actions (E, 2) in m/s, and its notes if `keep`; raises ConfigError if it returns anything else."""
     name, given = f"policy {name_of(policy)}", (read_only(world), read_only(moves))
     returned, notes = explained(policy, *given) if keep else (policy(*given), {})
-    action = checked_array(name, policy, returned, (len(world), 2), "a velocity (x, y) in m/s for each episode")
+    action = checked_action(policy, returned, len(world))
     speed, v_pref = length(action), world.v_pref[:, 0]
     if (speed > v_pref + TOLERANCE).any():
         e = int((speed - v_pref).argmax())

@@ -141,4 +141,4 @@ def wilson(successes: int, trials: int, z: float = Z) -> tuple[float, float]:
     rate, spread = successes / trials, z * z / trials
     centre = (rate + spread / 2) / (1 + spread)
     half = z * math.sqrt(rate * (1 - rate) / trials + spread / (4 * trials)) / (1 + spread)
-    return max(centre - half, 0.0), min(centre + half, 1.0)
+    return 0.0 if successes == 0 else centre - half, 1.0 if successes == trials else centre + half

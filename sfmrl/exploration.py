@@ -56,10 +56,10 @@ def remember(learner: Learner, record: Record, random_steps: np.ndarray) -> None
     kept = record.outcome != "timeout" if one_step else np.ones(len(record.steps), dtype=bool)
     record, random_steps = record.take(kept), random_steps[kept]
     states, played = record.states(config), record.played
-    # The steps (E, T) at whose start the target network's value replaces the return: earlier steps build on it.
+    # The steps (E, T) at whose start the target network's value replaces the return, for the steps before them.
     bootstrapped = played.copy() if one_step else random_steps & played
     bootstrapped[:, 0] = False  # nothing comes before the first step
     value = np.full(played.shape, np.nan)
-    value[bootstrapped] = learner.target.evaluate(states[bootstrapped[played]])[0]
+    value[bootstrapped] = learner.target.evaluate(states[bootstrapped[played]])[0]  # a row of `states` a step played
     discount = step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation)
     learner.memory.push(states, returns_of(record.reward, discount, value)[played])

@@ -66,12 +66,13 @@ def square_gap(offset: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.nda
 
     `offset` (..., 2) m leads from the square's centre, `half` (...) m is half its side. Inside, distances are negative.
     """
-    beyond = np.abs(offset) - half[..., None]
+    beyond = np.abs(offset) - half[..., None]  # m beyond the sides, as if the point were in the first quadrant
     x, y = beyond[..., 0], beyond[..., 1]
-    nearest, outside = np.maximum(x, y), np.maximum(beyond, 0.0)
-    inside = nearest <= 0  # then the way out leads through the nearest side
-    way = np.where(inside[..., None], np.stack((x >= y, x < y), axis=-1), outside)
-    return np.where(inside, nearest, length(outside)), direction(np.copysign(way, offset))
+    farther, outside = np.maximum(x, y), np.maximum(beyond, 0.0)
+    inside = farther <= 0
+    by_nearest_side = np.stack((x >= y, x < y), axis=-1)  # the way out
+    away = np.copysign(np.where(inside[..., None], by_nearest_side, outside), offset)  # in the point's own quadrant
+    return np.where(inside, farther, length(outside)), direction(away)
 
 
 def closest_approach(
@@ -84,8 +85,9 @@ def closest_approach(
     """
     px, py = offset[..., 0], offset[..., 1]
     vx, vy = relative_velocity[..., 0], relative_velocity[..., 1]
-    # The line of motion is nearest to the square where it passes the corner on its side; a line that crosses the square
-    # is inside it there. The distance is convex in time, so that moment can be clipped to the duration.
+    # side * (vy, -vx) points from the square's centre straight to the line of motion. A line that misses the square is
+    # nearest to it at the corner farthest in that direction; a line that crosses it is inside it when it passes that
+    # corner. The distance is convex in time, so that moment can be clipped to the duration.
     side = np.sign(px * vy - py * vx)
     corner_x, corner_y = half * np.sign(side * vy), half * np.sign(side * -vx)
     speed2 = vx * vx + vy * vy

@@ -107,7 +107,10 @@ class SarlPolicy:
 
 
 def value_alone(config: Config, goal_distance: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """The value for a robot with nothing around it that goes straight to its goal, `goal_distance` m away."""
+    """The value for a robot with nothing around it that goes straight to its goal, `goal_distance` m away.
+
+    The reward for arriving is the setting `success`, also with a user's own reward.
+    """
     return config.reward.success * config.discount ** np.maximum(goal_distance - radius, 0.0)
 
 

@@ -34,13 +34,13 @@ class UntrustedReward(ConfigError):
 
 
 def read_only(thing: Any) -> Any:
-    """A read-only copy of an array, or of a frozen dataclass and its arrays."""
+    """A read-only copy of an array, or of a frozen dataclass of arrays and such dataclasses."""
     if isinstance(thing, np.ndarray):
         thing = np.array(thing)  # not a view, which its owner could make writeable again
         thing.flags.writeable = False
         return thing
-    arrays = {name: read_only(part) for name, part in vars(thing).items() if isinstance(part, np.ndarray)}
-    return replace(thing, **arrays)
+    parts = {name: read_only(part) for name, part in vars(thing).items() if hasattr(part, "take")}
+    return replace(thing, **parts)
 
 
 def guarded(who: str, what: str, file: str, call: Callable[[], Any]) -> Any:
@@ -73,6 +73,12 @@ def checked_array(who: str, function: Callable, returned: Any, shape: tuple[int,
     if not np.isfinite(array).all():
         raise ConfigError(f"{who} returned NaN or infinity; it must return finite numbers, {meaning}")
     return array
+
+
+def checked_action(policy: Callable, returned: Any, episodes: int) -> np.ndarray:
+    """The velocities (E, 2) that a policy returned, as `checked_array` returns them."""
+    meaning = "a velocity (x, y) in m/s for each episode"
+    return checked_array(f"policy {name_of(policy)}", policy, returned, (episodes, 2), meaning)
 
 
 def name_of(function: Callable) -> str:

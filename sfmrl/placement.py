@@ -158,12 +158,11 @@ class Builder:
 
         These distances are between centres, and grow with radii above RADIUS. `ends` is the part of `points` to clear.
         """
-        taken = np.flatnonzero(~np.isnan(self.start[episodes, :, 0]).all(0))  # the R rows in use in any episode
-        others = self.points[ends][:, episodes[:, None], taken][:, :, None, None]  # starts, goals (2, n, 1, 1, R, 2)
-        wider = (self.radius[episodes[:, None], taken] - RADIUS) + (self.radius[episodes, row, None] - RADIUS)
-        least = (np.where(self.square[episodes[:, None], taken], SQUARE_GAP, gap) + wider)[
-            :, None, None
-        ]  # (n, 1, 1, R)
+        in_use = np.flatnonzero(~np.isnan(self.start[episodes, :, 0]).all(0))  # R rows, in any of the episodes
+        taken = episodes[:, None], in_use
+        others = self.points[ends][:, *taken][:, :, None, None]  # starts, goals (2, n, 1, 1, R, 2)
+        wider = (self.radius[taken] - RADIUS) + (self.radius[episodes, row, None] - RADIUS)
+        least = (np.where(self.square[taken], SQUARE_GAP, gap) + wider)[:, None, None]  # (n, 1, 1, R)
         x, y = places[..., None, 0] - others[..., 0], places[..., None, 1] - others[..., 1]  # (2, n, T, P, R)
         return ~(x * x + y * y < least * least).any((0, 3, 4))  # False for NaN: absent rows are never near
 

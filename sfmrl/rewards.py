@@ -77,18 +77,18 @@ def sfm_terms(transition: Transition, p: Reward) -> Terms:
     """The paper's Social Force Model reward, its second formula: terms by name, each (...).
 
     In the paper's symbols, v is the robot's velocity during the step, v_pref its preferred velocity at the step's
-    start, and d_g the distance to the goal at the step's end.
+    start, and d_g the distance to the goal at the step's end. What it pays on the way is for a step of 0.25 s.
     """
     end, close = _cases(transition, p)
-    free = (end == RUNNING) & ~close
+    free, long = (end == RUNNING) & ~close, transition.time_step / 0.25
     gap = np.clip(transition.separation, 0.0, p.discomfort_distance)  # exp must not overflow where it does not count
     deviation = length(p.k * (transition.velocity - transition.preferred_velocity))
     return {
         "collision": np.where(end == COLLISION, p.collision, 0.0),
         "goal": np.where(end == SUCCESS, p.success, 0.0),
-        "discomfort": np.where(close, p.discomfort_amplitude * np.exp(-p.discomfort_decay * gap), 0.0),
-        "velocity": np.where(free, p.k - deviation / 2, 0.0),
-        "distance": np.where(free, -p.distance_weight * transition.goal_distance, 0.0),
+        "discomfort": np.where(close, p.discomfort_amplitude * np.exp(-p.discomfort_decay * gap) * long, 0.0),
+        "velocity": np.where(free, (p.k - deviation / 2) * long, 0.0),
+        "distance": np.where(free, -p.distance_weight * transition.goal_distance * long, 0.0),
     }
 
 

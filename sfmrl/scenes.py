@@ -88,6 +88,8 @@ class Scenes(Batch):
         start[absent] = goal[absent] = np.nan
         checked = (start, goal, radius, v_pref, square, environment, episode, speed if own else None)
         for item, value in zip(fields(self), checked, strict=True):
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False  # a world begins with these arrays
             object.__setattr__(self, item.name, value)
 
     def __len__(self) -> int:

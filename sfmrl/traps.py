@@ -22,9 +22,9 @@ from sfmrl.geometry import length
 from sfmrl.rewards import COLLISION, RUNNING
 from sfmrl.world import World, advance, crowd_velocities, onward, transition
 
-# Of the 81 actions (`actions.ACTIONS`: stop, then five speeds for each heading), those that are tried in sequences:
-# stop, and all headings at full speed and at 0.48 of it.
-OUTLOOK = np.flatnonzero(np.isin(np.arange(81) % 5, (0, 3)))
+# Of the 81 actions (`actions.ACTIONS`: stop, then speeds 0 to 4 for each heading), those that are tried in sequences:
+# stop, and all headings at 0.48 of full speed and at full speed.
+OUTLOOK = np.append(0, 1 + np.flatnonzero(np.isin(np.arange(80) % 5, (2, 4))))
 ROUNDING = 1e-9  # m, more than the error of a distance
 
 

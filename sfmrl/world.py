@@ -194,8 +194,8 @@ def smallest_gaps(world: World, action: np.ndarray) -> np.ndarray:
     # Components first in memory: the same operations then run through long rows.
     position, velocity = (np.ascontiguousarray(part.transpose(2, 0, 1)) for part in (world.position, world.velocity))
     offset = (position[:, :, 1:] - position[:, :, :1])[:, *axes]  # (2, E, 1, K)
-    relative_velocity = velocity[:, :, 1:][:, *axes] - action.transpose(-1, *range(action.ndim - 1))[..., None]
-    apart, moving = (part.transpose(*range(1, part.ndim), 0) for part in (offset, relative_velocity))  # (E, A, K, 2)
+    moving = velocity[:, :, 1:][:, *axes] - action.transpose(-1, *range(action.ndim - 1))[..., None]  # (2, E, A, K)
+    apart, moving = (part.transpose(*range(1, part.ndim), 0) for part in (offset, moving))  # (E, A, K, 2)
     half, radius = world.shape
     gap = closest_approach(apart, moving, world.simulation.time_step, half[:, 1:][axes])
     return np.fmin(gap - (radius[:, 1:] + radius[:, :1])[axes], np.inf)  # NaN, to absent elements, becomes +inf

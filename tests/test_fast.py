@@ -1,8 +1,10 @@
 """The network in NumPy against autograd of its definition; a value's bits do not depend on its batch."""
 
 import os
+import pickle
 import subprocess
 import sys
+from copy import deepcopy
 
 import numpy as np
 import pytest
@@ -52,11 +54,11 @@ def test_parameters_are_parts_of_one_array_and_copies_have_their_own():
     network = as_fast(ValueNetwork(value_prior=True, seed=2))
     states = random_states(8, 4)
     before = network.evaluate(states)[0]
-    copy = network.copy()
-    np.testing.assert_array_equal(copy.evaluate(states)[0], before)
-    copy.flat[:] = 0.0
-    assert not any(parameter.any() for parameter in copy.parameters.values())
-    np.testing.assert_array_equal(network.evaluate(states)[0], before)
+    for copied in (network.copy(), deepcopy(network), pickle.loads(pickle.dumps(network))):
+        np.testing.assert_array_equal(copied.evaluate(states)[0], before)
+        copied.flat[:] = 0.0
+        assert not any(parameter.any() for parameter in copied.parameters.values())
+        np.testing.assert_array_equal(network.evaluate(states)[0], before)
 
 
 def test_episodes_of_states_have_the_values_of_single_states():

@@ -11,12 +11,13 @@ import pytest
 import torch
 
 from sfmrl.cli import main
-from sfmrl.config import Config, ConfigError, Reward, Untrusted
+from sfmrl.config import Config, ConfigError, Planner, Reward, Untrusted
 from sfmrl.episodes import Record, play
 from sfmrl.evaluation import evaluate
 from sfmrl.network import ValueNetwork
 from sfmrl.own_code import UntrustedReward, trusted
 from sfmrl.policies import load_policy
+from sfmrl.recovery import with_recovery
 from sfmrl.rewards import Transition, reward_terms
 from sfmrl.runs.create import create_run
 from sfmrl.runs.folders import finished
@@ -174,6 +175,18 @@ def moves_its_goal(world, moves):
     world.goal = world.position
 
 
+def removes_the_walls(world, moves):
+    world.edges.values[:] = np.nan
+
+
+class MovesTheStarts:
+    def begin(self, scenes, simulation):
+        scenes.start[:, 0] += 1.0
+
+    def __call__(self, world, moves):
+        return straight(world, moves)
+
+
 @pytest.mark.parametrize(
     ("policy", "said"),
     [
@@ -200,7 +213,14 @@ def test_a_policy_s_slip_is_one_error_that_says_what_it_must_return(policy, said
     assert said in str(caught.value)
 
 
-@pytest.mark.parametrize("policy", [pushes_people, sits_on_its_goal, moves_its_goal])
+def test_a_policy_with_recovery_must_return_the_same():
+    with pytest.raises(ConfigError, match=r"returned an array of shape \(2,\); it must return .* shape \(3, 2\)"):
+        play(SCENES, with_recovery(lambda world, moves: np.zeros(2), Planner(recover=True)))
+
+
+@pytest.mark.parametrize(
+    "policy", [pushes_people, sits_on_its_goal, moves_its_goal, removes_the_walls, MovesTheStarts()]
+)
 def test_a_policy_cannot_change_the_world(policy):
     with pytest.raises((ValueError, FrozenInstanceError), match=r"read-only|cannot assign to field"):
         play(SCENES, policy)

@@ -119,6 +119,15 @@ def test_discomfort_at_its_boundaries(gap, crowd, sfm):
     assert total(reward_terms(Reward(reward="sfm"))(transition)) == pytest.approx(sfm)
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_what_is_paid_on_the_way_counts_by_the_time_it_lasts(name):
+    """A second at a gap of 0.1 m, or far from everybody, is worth the same in steps of any length."""
+    terms = reward_terms(Reward(reward=name))
+    for gap in (0.1, 3.0):
+        second = [total(terms(one_transition(RUNNING, gap, dt=dt)))[0] / dt for dt in (0.05, 0.25, 0.5)]
+        assert second == pytest.approx([second[1]] * 3, rel=1e-12)
+
+
 @pytest.mark.parametrize("dt", [0.25, 0.1, 0.05])
 def test_discomfort_counts_by_the_time_it_lasts(dt):
     """CrowdNav: (gap - 0.2) * 0.5 * time_step; at 0.25 s the formula of the paper, to the bit."""

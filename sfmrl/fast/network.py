@@ -70,6 +70,9 @@ class FastNetwork:
         """The same network with parameters of its own."""
         return FastNetwork(self.state_dict(), self.value_prior)
 
+    def __reduce__(self) -> tuple:  # for pickle and copy: `parameters` must stay parts of `flat`
+        return FastNetwork, (self.state_dict(), self.value_prior)
+
     @DIVERGED
     def evaluate(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values (B,) and attention (B, K) of states (B, K, F), K >= 1; an absent element has NaN in its own columns.
@@ -158,6 +161,7 @@ class FastNetwork:
         d_crowd = self._through("mlp3.0", d, joint)[:, self.own :] * anybody  # (B, 50)
         d_pooled = self._through("mlp2.2", d_crowd, pooled)  # (B, 100)
         d_share = np.matmul(feature.reshape(batch, elements, -1), d_pooled[..., None])[..., 0]  # (B, K)
+        # Softmax: d share_i / d score_j = share_i ((i == j) - share_j).
         d_score = (share * (d_share - (share * d_share).sum(1, keepdims=True))).reshape(-1, 1)
         d_feature = relu_back(outer(share, d_pooled, "d_feature"), feature)  # mlp2.0 is dead now
 
@@ -166,16 +170,17 @@ class FastNetwork:
         d_score_2 = relu_back(d_score_2, score_2)  # attention.2 is dead now
         d_score_1 = self._through("attention.2", d_score_2, score_1, "attention.2")
         d_score_1 = relu_back(d_score_1, score_1)  # attention.0 is dead now
-        d_both = np.matmul(np.ones((1, elements), np.float32), d_score_1.reshape(batch, elements, -1))[:, 0]  # (B, 100)
+        # All elements of a state read the same mean, so the gradient by it is the sum over the elements: (B, 100).
+        d_from_mean = np.matmul(np.ones((1, elements), np.float32), d_score_1.reshape(batch, elements, -1))[:, 0]
         d_by_hidden, d_by_mean = _halves(d_p["attention.0.weight"])
         np.matmul(hidden.T, d_score_1, out=d_by_hidden)
-        np.matmul(mean.T, d_both, out=d_by_mean)
-        np.matmul(np.ones(batch, np.float32), d_both, out=d_p["attention.0.bias"])
+        np.matmul(mean.T, d_from_mean, out=d_by_mean)
+        np.matmul(np.ones(batch, np.float32), d_from_mean, out=d_p["attention.0.bias"])
 
         by_hidden, by_mean = _halves(p["attention.0.weight"])
         d_hidden = self._through("mlp2.0", d_feature, hidden, "attention.0")  # d_feature is dead now
         d_hidden += np.matmul(d_score_1, by_hidden.T, out=array("d_feature", *hidden.shape))
-        d_hidden += outer(equal, np.matmul(d_both, by_mean.T), "d_feature")
+        d_hidden += outer(equal, np.matmul(d_from_mean, by_mean.T), "d_feature")
         d_first = self._through("mlp1.2", relu_back(d_hidden, hidden), first, "d_first")
         self._by_parameters("mlp1.0", relu_back(d_first, first), rows)
 

@@ -52,10 +52,12 @@ def orca_velocities(
 
     position (m) is (E, N, 2), velocity and preferred_velocity (m/s) broadcast to it, radius (m) and max_speed (m/s) to
     (E, N). An agent whose position is NaN is absent: it gets NaN and influences nobody. `polygons` (E, P, V, 2) in m or
-    their `polygon_edges` stand still. `agents` broadcasts to (E, N) and selects those to compute, all by default; the
-    others get NaN but are avoided. time_step and horizons are in s, neighbor_distance in m. Raises ValueError for wrong
-    shapes and polygons, and for numbers that are not finite or out of range. A scene may lie anywhere, but its agents
-    within a few kilometres: they are computed in float32 relative to an origin near most of them.
+    their `polygon_edges` stand still; a square is one of them, and has NaN where `position` has a row for it. ORCA
+    looks for the velocity nearest to the preferred one, also where that is faster than max_speed. `agents` broadcasts
+    to (E, N) and selects those to compute, all by default; the others get NaN but are avoided. time_step and horizons
+    are in s, neighbor_distance in m. Raises ValueError for wrong shapes and polygons, and for numbers that are not
+    finite or out of range. A scene may lie anywhere, but its agents within a few kilometres: they are computed in
+    float32 relative to an origin near most of them.
     """
     position = numbers("position", position)
     if position.ndim != 3 or position.shape[2] != 2:
@@ -129,7 +131,7 @@ def _neighbors(planes, own, others, most):
     planes (5, N, E) start with the position, others are the rows in which anybody is present.
     """
     if len(others) - 1 <= most or most == 0:
-        rank = np.arange(min(len(others) - 1, most))[:, None]
+        rank = np.arange(min(len(others) - 1, most))[:, None]  # from an agent's own place in `others` on, one more
         return planes.take(others[rank + (rank >= np.searchsorted(others, own))], axis=1)
     episodes = planes.shape[2]
     nearest = np.empty((most, len(own), episodes), np.int64)

@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from sfmrl.orca.vectors import choose, det, dot, turn_left
+from sfmrl.orca.vectors import det, dot, turn_left
 
 HALF = np.float32(0.5)
 TINY = np.float32(1e-30)
@@ -69,9 +69,9 @@ def _half_changes(agent, other, time_step, neighbor_distance, time_horizon):
 
     length = np.sqrt(w_squared)
     inward = np.multiply(w, -1 / length, out=w)
-    change = choose(on_disc, (length - reach * rate) * inward, dot(velocity, leg) * leg - velocity)
+    change = np.where(on_disc, (length - reach * rate) * inward, dot(velocity, leg) * leg - velocity)
     change *= HALF
-    direction = choose(on_disc, turn_left(inward), leg)
+    direction = np.where(on_disc, turn_left(inward), leg)
     far = ~(squared < np.float32(neighbor_distance) * np.float32(neighbor_distance))  # also where NaN
     np.copyto(change, 0, where=far)
     np.copyto(direction, 0, where=far)

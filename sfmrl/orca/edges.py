@@ -16,7 +16,7 @@ has for both ends of its edge, start (left) and end (right), has one more axis f
 import numpy as np
 
 from sfmrl.orca.polygons import FIELDS
-from sfmrl.orca.vectors import INFINITY, choose, det, dot, turn_left, unit
+from sfmrl.orca.vectors import INFINITY, det, dot, turn_left, unit
 
 COVERED = np.float32(1e-5)  # m/s by which a covered edge may stick out
 SIDES = np.array([[1], [-1]], np.float32)  # an edge's start is at the left, its end at the right
@@ -55,7 +55,8 @@ def edge_half_planes(edges, agent, time_horizon):
     parts.append(planes_of(*np.divmod(left.ravel().nonzero()[0], agents)))
     planes, slot, owner = (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
     pair = slot * agents + owner
-    # Sort by agent, distance (bits of positive floats are ordered as the floats are) and slot, all in one integer.
+    # Sort by agent, distance and slot, all in one integer of 16 + 31 + 16 bits: positive floats are ordered as their
+    # bits are, and a block has fewer than 2^16 agents.
     order = np.argsort(owner << 47 | squared.view(np.int32).ravel()[pair].astype(np.int64) << 16 | slot)
     return planes.take(order, axis=1), owner[order], ends.reshape(4, -1).take(pair[order], axis=1)
 
@@ -114,10 +115,10 @@ def _sights(edges, agent, time_horizon):
     line_squared = sight[5] = dot(foot, foot)
     to_start, to_end = dot(at, at)
     # The nearest point is the foot of the perpendicular if that lies on the edge, and otherwise a corner.
-    squared = choose((along >= 0) & (along <= 1), line_squared, np.minimum(to_start, to_end))
+    squared = np.where((along >= 0) & (along <= 1), line_squared, np.minimum(to_start, to_end))
     # The agent must be in front of the edge, and able to reach it within the time horizon.
     reach = time_horizon * agent[5] + agent[4]
-    sight[6] = choose((det(at[:, 0], edge) < 0) & (squared < reach * reach), squared, INFINITY)
+    sight[6] = np.where((det(at[:, 0], edge) < 0) & (squared < reach * reach), squared, INFINITY)
     return sight.reshape(7, slots, -1)
 
 
@@ -177,7 +178,9 @@ def _legs(corner, convex, radius, own, wall):
 def _tangents(cut, velocity, leg, foreign, single, own, margin):
     """Return the half-planes (4, K) that touch the obstacles nearest to the velocities, and if they constrain (K,).
 
-    An obstacle starts at the cut-off between the two ends of `cut`, goes on along the legs, and is `margin` wider.
+    An obstacle starts at the cut-off between the two ends of `cut`, goes on along the legs, and is `margin` wider. In
+    RVO2's names `across` is t, and `up` tLeft and tRight. Of equally near parts, cut-off, left leg and right leg come
+    in this order; a leg counts only at up >= 0, and with a `single` corner there is no cut-off.
     """
     towards = velocity[:, None] - cut
     up = dot(towards, leg)

@@ -159,20 +159,20 @@ def _chord(line, max_speed):
 def _interval(line, others, max_speed):
     """Return the left and right ends (K,) of the part of lines (4, K) that others (4, M, K) permit inside the disc.
 
-    It is empty unless left <= right. A line coincides with itself, and half-planes of zeros with everything: the tiny
-    numbers make such pairs meet far away on the right. Other parallel lines meet far away on the side that permits or
-    forbids everything.
+    It is empty unless left <= right. Of the line point + t direction, a half-plane permits t sine <= offset, where
+    sine = det(direction, its direction) and offset = det(its direction, point - its point). So t = offset / sine is a
+    right end where sine > 0, else a left end. The tiny numbers put the end of parallel lines, of the line itself and of
+    half-planes of zeros far away: to the right, where all is permitted, or to the left, where nothing is.
     """
     sine = det(line[2:, None], others[2:])
     sine += TINIER
-    meeting = det(others[2:], line[:2, None] - others[:2])
-    meeting += TINY
-    meeting /= sine
-    # Where the sine is positive, the meeting is a right end, and the guard drops out of the maximum.
-    guard = np.multiply(sine, -HUGE, out=sine)
+    end = det(others[2:], line[:2, None] - others[:2])  # the offset
+    end += TINY
+    end /= sine
+    none = np.multiply(sine, -HUGE, out=sine)  # for a right end no left end, and the reverse
     left, right = _chord(line, max_speed)
-    right = np.minimum(np.maximum(meeting, guard).min(axis=0, initial=INFINITY), right)
-    left = np.maximum(np.minimum(meeting, guard).max(axis=0, initial=-INFINITY), left)
+    right = np.minimum(np.maximum(end, none).min(axis=0, initial=INFINITY), right)
+    left = np.maximum(np.minimum(end, none).max(axis=0, initial=-INFINITY), left)
     return left, right
 
 

@@ -35,15 +35,6 @@ def turn_left(vector):
     return turned
 
 
-def choose(condition, yes, no):
-    """The same as np.where for float32, without branches: half the time for large arrays."""
-    mask = -condition.astype(np.int32)  # all bits set, or none
-    no = no.view(np.int32)
-    chosen = (yes.view(np.int32) ^ no) & mask
-    chosen ^= no
-    return chosen.view(np.float32)
-
-
 def limit_speed(velocity, max_speed):
     """The velocities (2, Q) with those faster than max_speed (Q,) shortened to it."""
     return np.where(dot(velocity, velocity) > max_speed * max_speed, unit(velocity) * max_speed, velocity)

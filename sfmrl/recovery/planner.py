@@ -1,11 +1,12 @@
 """Geodesic distances to the goal, around the squares, on a grid, for many scenes at once.
 
-A cell's distance is the length of the shortest path over the grid, whose steps go in 24 directions, so no distance is
-more than 1.4 % too long. Sweeps over the rows and columns in both directions compute it, and are repeated until no
-distance changes (fast sweeping: Zhao, 2005). Cells in which the robot would touch a square count 10,000 times their
-length, cells within `inflation` of one 10 times, so every place has a finite distance, even inside a square. People are
-left out, since they move on. Squares beyond the robot's reach are ignored, and the path to a goal beyond its reach
-leads around squares to the point where the straight line to the goal leaves the reach.
+A cell's distance is the length of the shortest path over the grid. Its steps go in 24 directions, so a path is at most
+1.4 % longer than the shortest one through the same cells; but a passage less than 1.5 cells wider than the robot may be
+closed by the grid, and then the path leads around. Sweeps over the rows and columns in both directions compute it, and
+are repeated until no distance changes (fast sweeping: Zhao, 2005). Cells in which the robot would touch a square count
+10,000 times their length, cells within `inflation` of one 10 times, so every place has a finite distance, even inside a
+square. People are left out, since they move on. Squares beyond the robot's reach are ignored, and the path to a goal
+beyond its reach leads around squares to the point where the straight line to the goal leaves the reach.
 """
 
 import math
@@ -113,7 +114,10 @@ def plan(scenes: Scenes, planner: Planner, reach: np.ndarray | None = None) -> G
 
 
 def solvable(scenes: Scenes, planner: Planner = Planner()) -> np.ndarray:
-    """Whether a path leads from the robot's start to its goal without touching a square's outline, (E,)."""
+    """Whether a path leads from the robot's start to its goal without touching a square's outline, (E,).
+
+    A passage may count as closed if it is less than 1.5 cells (`resolution`) wider than the robot.
+    """
     return np.isfinite(shortest_path(scenes, planner))
 
 
@@ -121,8 +125,8 @@ def shortest_path(scenes: Scenes, planner: Planner = Planner()) -> np.ndarray:
     """Length in m of the shortest path from the robot's start to its goal around the squares' outlines, (E,).
 
     It is inf where the squares leave no path, and straight where there are none; those more than `FARTHEST` from the
-    start are ignored. Outlines count also where gaps are to the discs inside (`squares`). Of `planner`, it takes the
-    resolution. Raises ConfigError where this makes a grid too large.
+    start are ignored. Narrow passages may be closed, as for `solvable`. Outlines count also where gaps are to the discs
+    inside (`squares`). Of `planner`, it takes the resolution. Raises ConfigError where this makes a grid too large.
     """
     straight = length(scenes.goal[:, 0] - scenes.start[:, 0])
     around, planner = straight.copy(), replace(planner, inflation=0.0)

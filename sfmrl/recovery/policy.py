@@ -14,6 +14,7 @@ import numpy as np
 from sfmrl.actions import ACTIONS, Notes, Policy, explained, robot_actions
 from sfmrl.config import Planner, Simulation
 from sfmrl.geometry import closest_approach, wrapped
+from sfmrl.own_code import checked_action
 from sfmrl.recovery.planner import Geodesics, plan
 from sfmrl.rewards import COLLISION, SUCCESS
 from sfmrl.scenes import Scenes
@@ -60,7 +61,8 @@ class RecoveringPolicy:
         action = np.empty((len(world), 2))
         for rows, choose in ((np.flatnonzero(~stuck), self.policy), (np.flatnonzero(stuck), self.way_out)):
             if len(rows):
-                action[rows] = choose(world.take(rows), crowd_velocity[rows])
+                chosen = choose(world.take(rows), crowd_velocity[rows])
+                action[rows] = checked_action(choose, chosen, len(rows))
         return action
 
     def explain(self, world: World, crowd_velocity: np.ndarray) -> tuple[np.ndarray, Notes]:
