@@ -31,10 +31,10 @@ from sfmrl.cli.train import on_run
 from sfmrl.config import Config, ConfigError, Reward, override
 from sfmrl.fast import Sizes, as_fast
 from sfmrl.network import ValueNetwork
-from sfmrl.policies import POLICIES
+from sfmrl.policies import POLICIES, load_policy
 from sfmrl.rewards import REWARDS
 from sfmrl.runs.bits import machine_bits
-from sfmrl.runs.create import create_run
+from sfmrl.runs.create import create_run, start_run
 from sfmrl.runs.folders import locked, unfinished
 from sfmrl.runs.weights import load_weights, model_names
 from sfmrl.scenes import ENVIRONMENTS
@@ -171,6 +171,14 @@ def test_a_network_of_crowdnav_s_is_trained_on_from_its_file(sfmrl: Call, tmp_pa
         (tmp_path / "mine" / name).unlink()
     torch.save(ValueNetwork(seed=4, sizes=sizes).state_dict(), path)
     assert_last_line(sfmrl("rl", "--resume", "mine"), "is not what this run began with any more")
+
+
+def test_a_model_is_trained_on_by_its_name(tmp_path: Path):
+    config = make_config(variant="sarl-sfm6", reinforcement={"episodes": 4})
+    run = start_run(config, Path("sarl-sfm6"), False, tmp_path / "mine")
+    network, _ = load_weights(Path(run.facts["weights"]["file"]))
+    assert np.array_equal(network.flat, load_policy("sarl-sfm6").network.flat)
+    assert start_run(config, Path("sarl-sfm6"), False, tmp_path / "mine", go_on=True) == run
 
 
 def assert_last_line(done: subprocess.CompletedProcess, words: str) -> None:

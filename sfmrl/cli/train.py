@@ -114,7 +114,7 @@ def rl(
     map_file: Path | None = options.MAP,
     source: Path | None = option(
         None,
-        "imitation run, or weights file, to start from (default the newest run that fits)",
+        "imitation run, model or weights file to start from (default the newest imitation run that fits)",
         "--from",
         autocompletion=completion.imitation_runs,
     ),

@@ -32,7 +32,7 @@ from sfmrl.runs.folders import (
     unfinished,
 )
 from sfmrl.runs.run import Run, open_run
-from sfmrl.runs.weights import load_weights
+from sfmrl.runs.weights import find_weights, load_weights, model_names
 from sfmrl.scenes import DRAWN, parse_mix
 from sfmrl.states import column_names
 from sfmrl.variants import variant_name
@@ -157,10 +157,12 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
     """Make the folder of a reinforcement run that starts from `source`, or with `from_scratch` from nothing.
 
     `source` is an imitation run, by default the newest with the same preset, seed and simulation (its reward and state
-    may differ), or a weights file: then the training starts from its network, without demonstrations and with its
-    `value_prior`. `existing` is passed to `create_run`. Raises ConfigError, with what to type, if no source fits.
+    may differ), or a weights file, or a model's name: then the training starts from that network, without
+    demonstrations and with its `value_prior`. `existing` is passed to `create_run`. Raises ConfigError, with what to type, if no source fits.
     """
     check_names(config)  # first: the imitation run that the next error may ask for takes minutes to make
+    if str(source) in model_names():
+        source = find_weights(str(source))
     if existing.get("go_on") and folder is not None and kind_of(folder):
         return _started(config, source, folder)
     if from_scratch:
