@@ -157,8 +157,9 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
     """Make the folder of a reinforcement run that starts from `source`, or with `from_scratch` from nothing.
 
     `source` is an imitation run, by default the newest with the same preset, seed and simulation (its reward and state
-    may differ), or a weights file, or a model's name: then the training starts from that network, without
-    demonstrations and with its `value_prior`. `existing` is passed to `create_run`. Raises ConfigError, with what to type, if no source fits.
+    may differ), a weights file or a model's name: from these the training starts with the network's weights and its
+    `value_prior`, without demonstrations. `existing` is passed to `create_run`. Raises ConfigError, with what to type,
+    if no source fits.
     """
     check_names(config)  # first: the imitation run that the next error may ask for takes minutes to make
     if str(source) in model_names():
