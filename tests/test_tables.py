@@ -295,6 +295,20 @@ def test_sheets_hold_in_80_columns_and_become_markdown():
         assert "\n" not in lines[2]
 
 
+def test_what_is_equal_in_every_row_of_a_training_stands_in_the_title():
+    slow = trained([0.9, 0.9], validation=np.array([[0.5, 0.8, 0.95, 0.9], [0.5, 0.8, 0.8, 0.95]]))
+    rows = {"sarl": figures(trained([0.9, 0.9])), "sarl-sfm": figures(trained([0.9, 1.0]))}
+    (alike,) = (page for page in sheets(summarise(TABLES[1], rows), [], "Table 1") if "25 s" in page.title)
+    assert alike.title.endswith("validation success 0.9 (in every row: 500 episodes, 20,000 steps, 2 of 2 runs)")
+    assert list(alike.lines[0]) == ["row", "time, s"]
+    rows["sarl-sfm"] = figures(slow)
+    (apart,) = (page for page in sheets(summarise(TABLES[1], rows), [], "Table 1") if "25 s" in page.title)
+    assert apart.title.endswith("validation success 0.9 (in every row: 2 of 2 runs)")
+    assert [list(line.values())[2:] for line in apart.lines] == [["500", "20,000"], ["750", "30,000"]]
+    (alone,) = sheets(summarise(TABLES[1], {"sarl": figures(slow)}), [], "Table 1")[2:]
+    assert list(alone.lines[0]) == ["row", "time, s", "episodes", "steps", "runs"]
+
+
 def test_rates_are_written_without_their_zero():
     assert [rate(x) for x in (0.9, 1.0, -0.05, 0.0, -0.0001, None)] == [".900", "1.000", "-.050", ".000", "-.000", "-"]
 

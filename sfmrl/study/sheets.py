@@ -88,13 +88,13 @@ def sheets(summary: list[dict[str, Any]], contrasts: list[dict[str, Any]], title
     seeds = sorted({seed for row in summary for seed in row["seeds"]})
     unbroken = len(seeds) > 1 and seeds == list(range(seeds[0], seeds[-1] + 1))
     named = f"{seeds[0]}-{seeds[-1]}" if unbroken else ", ".join(map(str, seeds))
-    course = "Time with time-outs as 25 s; training until validation success 0.9"
+    course, training = _common([_course(row) for row in summary], ("episodes", "steps", "runs"))
     pages = {
         f"{title}; 95 % intervals over seeds (Student's t)": [_rates(row) for row in summary],
         "Success of every seed; Wilson: the 95 % interval of one network over test episodes": [
             _points(row, named) for row in summary
         ],
-        course: [_course(row) for row in summary],
+        f"Time with time-outs as 25 s; training until validation success 0.9{training}": course,
         "Differences from SARL, paired by seed": [_difference(row) for row in summary if row["difference"]],
         "Effect of each ingredient, with and without the other, paired by seed": [
             _contrast(metric, contrasts) for metric in CONTRASTED if contrasts
@@ -138,6 +138,14 @@ def _course(row: dict[str, Any]) -> dict[str, str]:
         "steps": number(figures["reached_steps"]["mean"], ",.0f"),
         "runs": f"{sum(value is not None for value in episodes['values'])} of {len(episodes['values'])}",
     }
+
+
+def _common(lines: list[dict[str, str]], names: tuple[str, ...]) -> tuple[list[dict[str, str]], str]:
+    """Return lines without those of the named columns that are equal in all, and what these hold, for the title."""
+    equal = [name for name in names if len(lines) > 1 and len({line[name] for line in lines}) == 1]
+    said = ", ".join(f"{lines[0][name]} {name}" for name in equal)
+    others = [{name: cell for name, cell in line.items() if name not in equal} for line in lines]
+    return others, f" (in every row: {said})" if said else ""
 
 
 def _difference(row: dict[str, Any]) -> dict[str, str]:
@@ -198,7 +206,7 @@ def model_sheet(cards: dict[str, dict[str, Any]]) -> Sheet:
         }
         for name, card in cards.items()
     ]
-    return Sheet("Models that come with sfmrl; 95 % Wilson intervals", lines)
+    return Sheet("Models that come with sfmrl; 95 % Wilson intervals; nav. time is with recovery", lines)
 
 
 def card_lines(card: dict[str, Any], indent: str = "") -> list[str]:
