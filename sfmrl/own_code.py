@@ -10,7 +10,7 @@ import runpy
 import shlex
 import traceback
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +39,12 @@ def read_only(thing: Any) -> Any:
         thing = np.array(thing)  # not a view, which its owner could make writeable again
         thing.flags.writeable = False
         return thing
-    parts = {name: read_only(part) for name, part in vars(thing).items() if hasattr(part, "take")}
-    return replace(thing, **parts)
+    parts = {name: part for name, part in vars(thing).items() if isinstance(part, np.ndarray) or _is_batch(part)}
+    return replace(thing, **{name: read_only(part) for name, part in parts.items()})
+
+
+def _is_batch(part: Any) -> bool:
+    return is_dataclass(part) and hasattr(part, "take")
 
 
 def guarded(who: str, what: str, file: str, call: Callable[[], Any]) -> Any:

@@ -163,6 +163,11 @@ def test_a_policy_may_return_lists_and_whole_numbers():
     assert (standing.position[:, :, 0] == SCENES.start[:, None, 0]).all()
 
 
+def test_an_own_reward_judges_a_single_step_too():
+    step = play(SCENES, "linear").transition[0, 3]
+    assert reward_terms(lambda transition, settings: -transition.goal_distance)(step) == {"reward": -step.goal_distance}
+
+
 def pushes_people(world, moves):
     moves += 1.0
 
