@@ -129,8 +129,10 @@ def reward_terms(reward: str | Reward | OwnReward) -> Callable[[Transition], Ter
 
     A user's own reward (a function, or its name `file.py:function` or `package.module:function`) takes (transition,
     settings) and returns an array (...), which becomes the one term "reward". It gets read-only copies of the arrays;
-    one given as a function gets the settings `Reward()`. Raises ConfigError if there is no such reward, and if a user's
-    own fails or returns another shape or numbers that are not finite; UntrustedReward if only a file names it.
+    one given as a function gets the settings `Reward()`. Each number may depend on its own transition alone: which ones
+    come together varies, also with the threads, several of which may call it at once. Raises ConfigError if there is no
+    such reward, and if a user's own fails or returns another shape or numbers that are not finite; UntrustedReward if
+    only a file names it.
     """
     if callable(reward):
         return _own_terms(reward, Reward(), name_of(reward))
