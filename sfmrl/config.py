@@ -113,7 +113,7 @@ class Simulation(Settings):
 
     @property
     def longest(self) -> int:
-        """Steps of the longest episode: as in CrowdNav, the last one begins 1 s or less before the time limit."""
+        """Steps of the longest episode: the first that begins 1 s or less before the limit is the last (CrowdNav)."""
         return math.ceil((self.time_limit - 1.0) / self.time_step - 1e-9) + 1
 
 
@@ -126,10 +126,10 @@ class Reward(Settings):
     collision: float = knob(-0.25, "reward for a collision (CrowdNav)", *ANY_REWARD)
     discomfort_distance: float = knob(0.2, "closer than this is too close, m (CrowdNav)", 0, 1000)
     discomfort_slope: float = knob(0.125, "crowd: penalty per metre too close, per 0.25 s (CrowdNav)", *ANY_REWARD)
-    discomfort_amplitude: float = knob(-0.03, "sfm: reward at zero separation (the paper's A)", *ANY_REWARD)
+    discomfort_amplitude: float = knob(-0.03, "sfm: reward at zero separation, per 0.25 s (the paper's A)", *ANY_REWARD)
     discomfort_decay: float = knob(10.0, "sfm: how fast it fades with separation, 1/m (the paper's B)", 0, 1e6)
-    k: float = knob(0.001, "sfm: weight of moving at the preferred velocity (the paper's k)", *ANY_REWARD)
-    distance_weight: float = knob(0.0001, "sfm: penalty per metre from the goal", *ANY_REWARD)
+    k: float = knob(0.001, "sfm: weight of moving at the preferred velocity, per 0.25 s (the paper's k)", *ANY_REWARD)
+    distance_weight: float = knob(0.0001, "sfm: penalty per metre from the goal, per 0.25 s", *ANY_REWARD)
     discount_start: float = knob(10.0, "sfm-discount: arriving later than this costs, s", 0, 3600)
     discount_rate: float = knob(0.02, "sfm-discount: cost per second late", *ANY_REWARD)
 

@@ -173,12 +173,16 @@ def test_a_network_of_crowdnav_s_is_trained_on_from_its_file(sfmrl: Call, tmp_pa
     assert_last_line(sfmrl("rl", "--resume", "mine"), "is not what this run began with any more")
 
 
-def test_a_model_is_trained_on_by_its_name(tmp_path: Path):
+def test_a_model_is_trained_on_by_its_name(tmp_path: Path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     config = make_config(variant="sarl-sfm6", reinforcement={"episodes": 4})
     run = start_run(config, Path("sarl-sfm6"), False, tmp_path / "mine")
     network, _ = load_weights(Path(run.facts["weights"]["file"]))
     assert np.array_equal(network.flat, load_policy("sarl-sfm6").network.flat)
     assert start_run(config, Path("sarl-sfm6"), False, tmp_path / "mine", go_on=True) == run
+    create_run("il", make_config(), Path("sarl-sfm6"))
+    with pytest.raises(ConfigError, match="sarl-sfm6"):  # a folder of that name comes first; this one is not trained
+        start_run(config, Path("sarl-sfm6"), False, tmp_path / "other")
 
 
 def assert_last_line(done: subprocess.CompletedProcess, words: str) -> None:

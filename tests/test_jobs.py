@@ -128,7 +128,7 @@ def test_without_ray_the_remedy_is_named(sfmrl, tmp_path):
     (tmp_path / "ray.py").write_text("raise ImportError")
     done = sfmrl("table", "1", "--on", "ray")
     assert done.returncode == 2
-    assert done.stderr == "sfmrl: --on ray needs Ray; install it with pip install 'sfmrl[ray]'\n"
+    assert done.stderr == "sfmrl: --on ray needs Ray; install it with pip install ray\n"
 
 
 def test_a_cluster_of_two_workers_loses_one_in_the_middle(tmp_path):

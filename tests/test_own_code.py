@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from sfmrl.cli import main
-from sfmrl.config import Config, ConfigError, Planner, Reward, Untrusted
-from sfmrl.episodes import Record, play
+from sfmrl.config import Config, ConfigError, Planner, Reward, Simulation, Untrusted
+from sfmrl.episodes import Record, play, play_episodes
 from sfmrl.evaluation import evaluate
 from sfmrl.network import ValueNetwork
 from sfmrl.own_code import UntrustedReward, trusted
@@ -221,6 +221,9 @@ def test_a_policy_s_slip_is_one_error_that_says_what_it_must_return(policy, said
 def test_a_policy_with_recovery_must_return_the_same():
     with pytest.raises(ConfigError, match=r"returned an array of shape \(2,\); it must return .* shape \(3, 2\)"):
         play(SCENES, with_recovery(lambda world, moves: np.zeros(2), Planner(recover=True)))
+    east = with_recovery(lambda world, moves: "east", Planner(recover=True))
+    with pytest.raises(ConfigError, match=r"returned 'east'; it must return an array of shape \(3, 2\)"):
+        play_episodes(SCENES, east, "sfm", Simulation(), keep=True)
 
 
 @pytest.mark.parametrize(

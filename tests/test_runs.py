@@ -105,6 +105,11 @@ def test_a_replaced_file_keeps_its_mode_and_the_link_to_it(tmp_path):
     write_text(link, "new")
     assert link.is_symlink()
     assert (path.read_text(), path.stat().st_mode & 0o777) == ("new", 0o600)
+    (tmp_path / "run").mkdir()
+    part = tmp_path / "run" / "weights"
+    part.symlink_to(path)
+    write_atomically(part, b"trained")
+    assert (read_checked(part), path.read_text()) == (b"trained", "new")  # a run's digests are of its own files
 
 
 def test_a_file_that_is_not_listed_is_not_trusted(tmp_path):
@@ -368,8 +373,14 @@ def test_the_same_command_opens_its_run_whatever_became_of_its_imitation(whole, 
     assert start_run(TINY, None, False, folder, go_on=True) == begun
     with pytest.raises(ConfigError, match=r"was begun from .*il, not from .*name another --run"):
         start_run(TINY, whole, False, folder, go_on=True)
+    with pytest.raises(ConfigError, match=r"was begun from .*il, not from scratch; name another --run"):
+        start_run(TINY, None, True, folder, go_on=True)
     with pytest.raises(ConfigError, match=r"was begun with \"seed\": 0"):
         start_run(override(TINY, {"seed": 1}), source, False, folder, go_on=True)
+    alone = start_run(TINY, None, True, tmp_path / "alone")
+    assert start_run(TINY, None, True, tmp_path / "alone", go_on=True) == alone
+    with pytest.raises(ConfigError, match=r"was begun from scratch, not from .*il"):
+        start_run(TINY, source, False, tmp_path / "alone", go_on=True)
 
 
 FOREIGN = {

@@ -305,6 +305,9 @@ def test_what_is_equal_in_every_row_of_a_training_stands_in_the_title():
     (apart,) = (page for page in sheets(summarise(TABLES[1], rows), [], "Table 1") if "25 s" in page.title)
     assert apart.title.endswith("validation success 0.9 (in every row: 2 of 2 runs)")
     assert [list(line.values())[2:] for line in apart.lines] == [["500", "20,000"], ["750", "30,000"]]
+    never = {name: figures(trained([0.9, 0.9], validation=np.full((2, 4), 0.5))) for name in rows}
+    (short,) = (page for page in sheets(summarise(TABLES[1], never), [], "Table 1") if "25 s" in page.title)
+    assert short.title.endswith("validation success 0.9 (in every row: 0 of 2 runs)")
     (alone,) = sheets(summarise(TABLES[1], {"sarl": figures(slow)}), [], "Table 1")[2:]
     assert list(alone.lines[0]) == ["row", "time, s", "episodes", "steps", "runs"]
 

@@ -21,8 +21,9 @@ from sfmrl.lookahead import SarlPolicy, world_states
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import load_policy
 from sfmrl.recovery import RecoveringPolicy
-from sfmrl.replay import Replay, make_story
+from sfmrl.replay.frames import Replay
 from sfmrl.replay.panel import action_disc
+from sfmrl.replay.story import make_story
 from sfmrl.rewards import COLLISION, OUTCOMES, reward_terms, total
 from sfmrl.runs.demonstrations import load_demonstrations, save_demonstrations
 from sfmrl.scenes import Scenes, sample_scenes

@@ -43,9 +43,11 @@ def unfinished_runs() -> list[str]:
     return [folder.as_posix() for folder in run_folders() if not finished(folder) and not in_training(folder)]
 
 
-def imitation_runs() -> list[str]:
-    """Return the finished imitation runs."""
-    return [folder.as_posix() for folder in run_folders("il") if finished(folder)]
+def beginnings() -> list[str]:
+    """Return what a reinforcement can start from: finished imitation runs, and models."""
+    from sfmrl.runs.weights import model_names
+
+    return [*(folder.as_posix() for folder in run_folders("il") if finished(folder)), *model_names()]
 
 
 KNOBS = {"reward": rewards, "environment": environments, "test_environment": environments}  # knobs with such names

@@ -116,7 +116,7 @@ def rl(
         None,
         "imitation run, model or weights file to start from (default the newest imitation run that fits)",
         "--from",
-        autocompletion=completion.imitation_runs,
+        autocompletion=completion.beginnings,
     ),
     from_scratch: bool = option(False, "start without imitation", "--from-scratch"),
     training: TrainingOptions,

@@ -21,7 +21,7 @@ try:
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
 except ImportError:
-    raise ImportError('sfmrl.envs needs Gymnasium; install it with: pip install "sfmrl[gym]"') from None
+    raise ImportError("sfmrl.envs needs Gymnasium; install it with: pip install gymnasium") from None
 
 BOUND = 100.0  # m, m/s or m/s^2, of all observations: maps are at most 36 m wide, and a robot goes at most 25 m
 

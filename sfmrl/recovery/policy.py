@@ -69,7 +69,7 @@ class RecoveringPolicy:
         """The call's actions, and the policy's own notes with whether each robot is `stuck`."""
         stuck = self.watch(world)
         action, notes = explained(self.policy, world, crowd_velocity)
-        action = np.array(action, dtype=float)
+        action = checked_action(self.policy, action, len(world)).copy()
         if stuck.any():
             action[stuck] = self.way_out(world.take(np.flatnonzero(stuck)), crowd_velocity[stuck])
         return action, notes | {"stuck": stuck}

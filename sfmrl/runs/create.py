@@ -162,10 +162,10 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
     if no source fits.
     """
     check_names(config)  # first: the imitation run that the next error may ask for takes minutes to make
-    if str(source) in model_names():
+    if source is not None and not source.exists() and str(source) in model_names():
         source = find_weights(str(source))
     if existing.get("go_on") and folder is not None and kind_of(folder):
-        return _started(config, source, folder)
+        return _started(config, source, from_scratch, folder)
     if from_scratch:
         return create_run("rl", config, folder, **existing)
     if source is not None and source.is_file():
@@ -184,13 +184,15 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
     return create_run("rl", config, folder, source, **existing, demonstrations=demonstrations)
 
 
-def _started(config: Config, source: Path | None, folder: Path) -> Run:
+def _started(config: Config, source: Path | None, from_scratch: bool, folder: Path) -> Run:
     """The run in `folder`, begun with this config and `source`, if one is named; the source may be gone by now."""
     begun = open_run(folder, "rl")
     weights = begun.facts.get("weights")
     begun_from = Path(weights["file"]) if weights else begun.imitation
-    if source and (begun_from is None or source.resolve() != begun_from.resolve()):
-        raise ConfigError(f"{folder} was begun from {begun_from or 'nothing'}, not from {source}; name another --run")
+    same = source is not None and begun_from is not None and source.resolve() == begun_from.resolve()
+    if (source and not same) or (from_scratch and begun_from):
+        asked, begun_with = source or "scratch", begun_from or "scratch"
+        raise ConfigError(f"{folder} was begun from {begun_with}, not from {asked}; name another --run")
     prior = begun.config.value_prior if weights else config.value_prior
     return open_same(folder, "rl", replace(config, imitation=begun.config.imitation, value_prior=prior))
 

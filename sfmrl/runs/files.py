@@ -56,8 +56,11 @@ def write_together(folder: Path, files: dict[str, bytes], *, checked: bool = Tru
 
 
 def write_atomically(path: Path, data: bytes, *, checked: bool = True) -> str:
-    """Write one file as `write_together` does, of a symbolic link the file that it names; returns its SHA-256."""
-    path = path.resolve()
+    """Write one file as `write_together` does, and return its SHA-256.
+
+    A symbolic link is replaced if `checked`; otherwise, the file that it names is written.
+    """
+    path = path if checked else path.resolve()
     write_together(path.parent, {path.name: data}, checked=checked)
     return sha256(data)
 

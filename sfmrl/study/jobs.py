@@ -151,7 +151,7 @@ class RayWorkers:
         try:
             import ray
         except ImportError:
-            raise ConfigError("--on ray needs Ray; install it with pip install 'sfmrl[ray]'") from None
+            raise ConfigError("--on ray needs Ray; install it with pip install ray") from None
         ray.init(log_to_driver=False, logging_level=logging.ERROR, ignore_reinit_error=True)
         self._ray = ray
         self._sent: dict[Any, Job] = {}  # references to results, and their jobs

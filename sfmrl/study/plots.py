@@ -19,7 +19,7 @@ try:
     from matplotlib.figure import Figure
     from matplotlib.patches import Circle, Rectangle
 except ImportError:
-    raise ConfigError('figures need matplotlib; install it with: pip install "sfmrl[plot]"') from None
+    raise ConfigError("figures need matplotlib; install it with: pip install matplotlib") from None
 
 STILLS, FILMS = (".svg", ".png", ".pdf"), (".gif", ".mp4", ".html")
 ROBOT, PERSON, SQUARE, GOAL = "tab:blue", "tab:orange", "0.6", "tab:red"

@@ -141,8 +141,12 @@ def _course(row: dict[str, Any]) -> dict[str, str]:
 
 
 def _common(lines: list[dict[str, str]], names: tuple[str, ...]) -> tuple[list[dict[str, str]], str]:
-    """Return lines without those of the named columns that are equal in all, and what these hold, for the title."""
-    equal = [name for name in names if len(lines) > 1 and len({line[name] for line in lines}) == 1]
+    """Return lines without those of the named columns that are equal in all, and what these hold, for the title.
+
+    A column of "-" alone, which has nothing to say, stays.
+    """
+    cells = {name: {line[name] for line in lines} for name in names}
+    equal = [name for name in names if len(lines) > 1 and len(cells[name]) == 1 and cells[name] != {"-"}]
     said = ", ".join(f"{lines[0][name]} {name}" for name in equal)
     others = [{name: cell for name, cell in line.items() if name not in equal} for line in lines]
     return others, f" (in every row: {said})" if said else ""
