@@ -690,7 +690,7 @@ def test_the_shell_completes_commands_names_and_runs(in_process: Call, monkeypat
         (("eval", "orca", "--crowd", ""), {"orca", "sfm"}),
         (("eval", ""), {*POLICIES, *model_names(), "runs/a", "runs/b"}),
         (("eval", "runs/"), {"runs/a", "runs/b"}),
-        (("rl", "--from", ""), {"runs/a"}),
+        (("rl", "--from", ""), {"runs/a", *model_names()}),
         (("rl", "--resume", ""), {"runs/c"}),
         (("verify", ""), {"runs/a", "runs/b", "runs/c"}),
     ):

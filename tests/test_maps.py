@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -247,12 +248,14 @@ def test_scenes_that_no_map_can_show_are_refused():
     with pytest.raises(ConfigError, match="at most 9 people, and this scene has 10"):
         draw_map(sample_scenes("circle", 1))
     near = sample_scenes("map:R..G", 1)
-    near.goal[0, 0] = near.start[0, 0] + 0.01
+    goal = near.goal.copy()
+    goal[0, 0] = near.start[0, 0] + 0.01
+    near = replace(near, goal=goal)
     with pytest.raises(ConfigError, match="R and G share one"):
         draw_map(near)
-    near.goal[0, 0] = 1e6
+    goal[0, 0] = 1e6
     with pytest.raises(ConfigError, match="at most 60 places wide"):
-        draw_map(near)
+        draw_map(replace(near, goal=goal))
 
 
 def test_a_scene_is_unsolvable_where_a_passage_is_too_narrow_or_the_way_too_long():

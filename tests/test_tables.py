@@ -19,7 +19,7 @@ from sfmrl.config import ConfigError, override
 from sfmrl.evaluation import wilson
 from sfmrl.geometry import length
 from sfmrl.runs.create import create_run
-from sfmrl.runs.files import csv_text, write_atomically
+from sfmrl.runs.files import csv_text, unlist, write_atomically
 from sfmrl.scenes import sample_scenes
 from sfmrl.study.sheets import rate, sheets
 from sfmrl.study.statistics import contrasts, mean_interval, summarise
@@ -386,6 +386,7 @@ def test_the_figure_of_single_runs_has_the_interval_of_each_validation(sfmrl, tm
     for line in lines:
         assert (float(line["low"]), float(line["high"])) == pytest.approx(wilson(round(4 * float(line["mean"])), 4))
     assert "mine" in (tmp_path / "f.svg").read_text()
+    unlist({"validation.csv"}, tmp_path / "mine")  # as in a training that is not finished
     (tmp_path / "mine" / "validation.csv").write_text("episode,success\n0,0.5\n4,")
     done = sfmrl("figure", "mine", "--out", "f.svg", "--overwrite")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)

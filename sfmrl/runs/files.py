@@ -60,7 +60,8 @@ def write_atomically(path: Path, data: bytes, *, checked: bool = True) -> str:
 
     A symbolic link is replaced if `checked`; otherwise, the file that it names is written.
     """
-    path = path if checked else path.resolve()
+    if path.is_symlink() and not checked:
+        path = path.resolve()
     write_together(path.parent, {path.name: data}, checked=checked)
     return sha256(data)
 
