@@ -60,6 +60,6 @@ def remember(learner: Learner, record: Record, random_steps: np.ndarray) -> None
     bootstrapped = played.copy() if one_step else random_steps & played
     bootstrapped[:, 0] = False  # nothing comes before the first step
     value = np.full(played.shape, np.nan)
-    value[bootstrapped] = learner.target.evaluate(states[bootstrapped[played]])[0]  # a row of `states` a step played
+    value[bootstrapped] = learner.target.evaluate(states[bootstrapped[played]])[0]  # `states`: a row per step played
     discount = step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation)
     learner.memory.push(states, returns_of(record.reward, discount, value)[played])

@@ -72,7 +72,7 @@ def _unpack(path: Path, folder: Path) -> None:
                 packed.extractall(folder)
     except ConfigError:
         raise
-    except Exception as error:  # damaged archives can raise anything, as zlib.error and LZMAError
+    except Exception as error:  # damaged archives can raise anything, such as zlib.error or LZMAError
         raise ConfigError(f"{path} is neither a run folder nor an archive that can be unpacked: {error}") from None
 
 
