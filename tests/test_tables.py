@@ -267,6 +267,25 @@ def test_verdicts(rates, verdict):
     assert row["verdict"] == verdict
 
 
+def test_the_papers_differences_are_rounded_twice():
+    """As the difference of two figures with two digits, each may be off by 0.01."""
+    reported, near = 0.86 - 0.965, 0
+    for hits in range(400, 500):
+        rows = {"sarl": figures(trained([0.96] * 5)), "sarl-sfm2": figures(trained([hits / 500] * 5))}
+        difference = summarise(TABLES[1], rows)[1]["difference"]
+        low, high = difference["expected"]
+        beyond = max(low - reported, reported - high)
+        assert (difference["verdict"] == "inconsistent") == (beyond > 0.01)
+        near += 0.005 < beyond <= 0.01
+    assert near  # so that one rounding would not do
+
+
+def test_the_interval_of_a_difference_of_rates_ends_at_one():
+    rows = {"sarl": figures(trained([0.9, 0.1])), "sarl-sfm2": figures(trained([0.2, 0.8]))}
+    difference = summarise(TABLES[1], rows)[1]["difference"]
+    assert (difference["low"], difference["high"]) == (-1.0, 1.0)
+
+
 def test_what_the_two_ingredients_change():
     success = {"sarl": [0.9, 0.8], "sarl-sfm2": [0.8, 0.8], "sarl-sfm5": [1.0, 1.0], "sarl-sfm6": [0.9, 0.9]}
     rows = {name: figures(trained(rates, validation=np.zeros((2, 4)))) for name, rates in success.items()}
@@ -274,6 +293,7 @@ def test_what_the_two_ingredients_change():
     forces = found["forces in the state", "success"]
     assert forces["values"] == pytest.approx([0.1, 0.15])  # of 0.1 and 0.1, of 0.2 and 0.1
     assert forces["mean"] == pytest.approx(0.125)
+    assert forces["high"] == pytest.approx(0.125 + 0.025 * 12.7062, abs=1e-4)  # t of one degree of freedom
     assert found["SFM reward", "success"]["values"] == pytest.approx([-0.1, -0.05])
     sheet = sheets(summarise(TABLES[1], rows), contrasts(rows), "Table 1")[-1]
     assert ["episodes until validation 0.9", "- (-)", "- (-)"] in [list(line.values()) for line in sheet.lines]

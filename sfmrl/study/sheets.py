@@ -91,12 +91,12 @@ def sheets(summary: list[dict[str, Any]], contrasts: list[dict[str, Any]], title
     course, training = _common([_course(row) for row in summary], ("episodes", "steps", "runs"))
     pages = {
         f"{title}; 95 % intervals over seeds (Student's t)": [_rates(row) for row in summary],
-        "Success of every seed; Wilson: the 95 % interval of one network over test episodes": [
+        "Success of every seed; Wilson: the 95 % interval of a network with the mean success": [
             _points(row, named) for row in summary
         ],
-        f"Time with time-outs as 25 s; training until validation success 0.9{training}": course,
+        f"Time with time-outs as 25 s, without collisions; training until validation success 0.9{training}": course,
         "Differences from SARL, paired by seed": [_difference(row) for row in summary if row["difference"]],
-        "Effect of each ingredient, with and without the other, paired by seed": [
+        "Effect of each ingredient, averaged over the other, paired by seed (95 %)": [
             _contrast(metric, contrasts) for metric in CONTRASTED if contrasts
         ],
     }

@@ -22,7 +22,7 @@ LEVEL = 0.95
 ROUNDING = 1e-9  # values that differ by less are equal
 HALVINGS = 60  # in a bisection, to the last bits of a float
 SEEDS_NEEDED = 5  # for a verdict on the paper
-WIDEST = 0.1  # with a wider range of expected success, the verdict is inconclusive
+WIDEST = 0.1  # a figure within a wider range of expected success is inconclusive
 UNDECIDED = {"expected": None, "verdict": "inconclusive"}
 NO_RATES = ("navigation_time", "total_reward", "reached")  # prefixes of metrics that are no rates
 # The effect of an ingredient: the mean, over pairs of table 1's rows, of the first row less the second.
@@ -31,11 +31,11 @@ CONTRASTS = {
     "SFM reward": (("sarl-sfm2", "sarl"), ("sarl-sfm6", "sarl-sfm5")),
 }
 CONTRASTED = {
-    "success": "success",
+    "success": "success in the test",
     "start_success": "validation after imitation",
     "early_success": "validation, first quarter",
-    "course_success": "validation, whole training",
-    "early_training_success": "training, first quarter",
+    "course_success": "validation, mean of all",
+    "early_training_success": "exploration, first quarter",
     "drops": "drop between validations",
     "reached_episodes": "episodes until validation 0.9",
     "navigation_time": "navigation time, s",
@@ -84,14 +84,16 @@ def _standard_error(values: np.ndarray) -> float:
     return float(values.std(ddof=1)) / math.sqrt(len(values))
 
 
-def mean_difference(gaps: np.ndarray, exact_below: int = 0) -> dict[str, Any]:
+def mean_difference(gaps: np.ndarray, exact_below: int = 0, most: float = math.inf) -> dict[str, Any]:
     """Return the figure of paired differences `gaps` (N,), N >= 1: Student's t interval, p of the t-test.
+
+    The interval is cut to differences from -`most` to `most`.
 
     Where there is no interval, p is that of the exact sign test: 1 for a single pair. With fewer than `exact_below`
     pairs, p is the larger of the two: for differences that are far from normal, such as multiples of a time step.
     """
     gaps = np.asarray(gaps, dtype=float)
-    mean, (low, high) = float(gaps.mean()), mean_interval(gaps)
+    mean, (low, high) = float(gaps.mean()), mean_interval(gaps, -most, most)
     exact = sign_test(int((gaps > ROUNDING).sum()), int((gaps < -ROUNDING).sum()))
     if low is None or high is None:  # both or none
         return {"mean": mean, "low": None, "high": None, "p": exact}
@@ -145,7 +147,8 @@ def next_run(rates: np.ndarray, trials: int) -> tuple[float, float]:
     """Return the mean of the seeds' `rates` (S,), S >= 2, and the half-width of the 95 % range of one more run's rate.
 
     That run is tested on `trials` other episodes. The variance adds up the spread of the seeds, the error of their
-    mean, and the chance of a test, whose rate has Agresti and Coull's (1998) correction away from 0 and 1.
+    mean, and the chance of a test, whose rate has Agresti and Coull's (1998) correction away from 0 and 1. This is an
+    approximation: the spread already holds the chance of each seed's test, but not of the episodes that all share.
     """
     rates = np.asarray(rates, dtype=float)
     mean = float(rates.mean())
@@ -165,7 +168,7 @@ def summarise(table: Table, rows: dict[str, Figures]) -> list[dict[str, Any]]:
                 "paper": table.paper[name],
                 "seeds": row.seeds,
                 "test_episodes": row.test_episodes,
-                "figures": {m: _over_seeds(v, not m.startswith(NO_RATES)) for m, v in row.values.items()},
+                "figures": {m: _over_seeds(v, *_bounds(m, 0.0)) for m, v in row.values.items()},
                 "wilson": [list(wilson(int(count), row.test_episodes)) for count in hits],
                 "wilson_of_mean": list(wilson(round(hits.mean()), row.test_episodes)),
                 **_verdict(table, name, row.values["success"]),
@@ -176,10 +179,15 @@ def summarise(table: Table, rows: dict[str, Figures]) -> list[dict[str, Any]]:
     return summary
 
 
-def _over_seeds(values: np.ndarray, is_rate: bool = False) -> dict[str, Any]:
+def _bounds(metric: str, least: float) -> tuple[float, float]:
+    """Return the possible values of a metric: `least` to 1 for a rate, any for others."""
+    return (-math.inf, math.inf) if metric.startswith(NO_RATES) else (least, 1.0)
+
+
+def _over_seeds(values: np.ndarray, least: float, most: float) -> dict[str, Any]:
     """Return the figure of the seeds that have a value, with their standard `deviation` and all `values`."""
     known = values[np.isfinite(values)]
-    low, high = mean_interval(known, 0.0, 1.0) if is_rate else mean_interval(known)
+    low, high = mean_interval(known, least, most)
     mean = float(known.mean()) if len(known) else None
     deviation = float(known.std(ddof=1)) if len(known) > 1 else None
     every = [float(value) if np.isfinite(value) else None for value in values]
@@ -191,14 +199,18 @@ def _verdict(table: Table, name: str, rates: np.ndarray) -> dict[str, Any]:
     if len(rates) < SEEDS_NEEDED:
         return UNDECIDED
     mean, half = next_run(rates, table.test_episodes)
-    return _judge(max(mean - half, 0.0), min(mean + half, 1.0), table.paper[name]["success"])
+    reported = table.paper[name]["success"]
+    return _judge(max(mean - half, 0.0), min(mean + half, 1.0), reported, _rounding(reported))
 
 
-def _judge(low: float, high: float, reported: tuple[float, ...]) -> dict[str, Any]:
-    """Return whether the reported figures, which are rounded, are consistent with the expected range."""
-    two_digits = all(abs(value - round(value, 2)) < ROUNDING for value in reported)
-    half = 0.005 if two_digits else 0.0005
-    if not all(low - half <= value <= high + half for value in reported):
+def _rounding(reported: tuple[float, ...]) -> float:
+    """Return how far the figures that the paper gives, to two or three digits, may be from its exact ones."""
+    return 0.005 if all(abs(value - round(value, 2)) < ROUNDING for value in reported) else 0.0005
+
+
+def _judge(low: float, high: float, reported: tuple[float, ...], rounding: float) -> dict[str, Any]:
+    """Return whether all the reported figures, exact up to `rounding`, are consistent with the expected range."""
+    if not all(low - rounding <= value <= high + rounding for value in reported):
         verdict = "inconsistent"
     else:
         verdict = "inconclusive" if high - low > WIDEST else "consistent"
@@ -206,7 +218,10 @@ def _judge(low: float, high: float, reported: tuple[float, ...]) -> dict[str, An
 
 
 def _less_sarl(table: Table, name: str, rows: dict[str, Figures]) -> dict[str, Any] | None:
-    """Return a row's success minus SARL's, paired by seed; None for SARL itself and where nothing can be paired."""
+    """Return a row's success minus SARL's, paired by seed; None for SARL itself and where nothing can be paired.
+
+    The verdict is on one more run of each row, which are not paired, as the paper's are not.
+    """
     if name == "sarl" or "sarl" not in rows:
         return None
     ours, sarl = rows[name], rows["sarl"]
@@ -214,12 +229,13 @@ def _less_sarl(table: Table, name: str, rows: dict[str, Figures]) -> dict[str, A
     if not shared or ours.test_episodes != sarl.test_episodes:
         return None
     one, other = (row.of("success", shared) for row in (ours, sarl))
-    paper = float(np.mean(table.paper[name]["success"]) - np.mean(table.paper["sarl"]["success"]))
-    difference = mean_difference(one - other) | {"seeds": shared, "paper": paper} | UNDECIDED
+    reported, baseline = table.paper[name]["success"], table.paper["sarl"]["success"]
+    paper = float(np.mean(reported) - np.mean(baseline))
+    difference = mean_difference(one - other, most=1.0) | {"seeds": shared, "paper": paper} | UNDECIDED
     if len(shared) >= SEEDS_NEEDED:
         (mean, half), (sarl_mean, sarl_half) = (next_run(rates, table.test_episodes) for rates in (one, other))
         low, high = (mean - sarl_mean + sign * math.hypot(half, sarl_half) for sign in (-1, 1))
-        difference |= _judge(low, high, (paper,))
+        difference |= _judge(low, high, (paper,), _rounding(reported) + _rounding(baseline))
     return difference
 
 
@@ -233,5 +249,5 @@ def contrasts(rows: dict[str, Figures]) -> list[dict[str, Any]]:
     for ingredient, pairs in CONTRASTS.items():
         for metric in CONTRASTED:
             by_seed = np.mean([rows[a].of(metric, shared) - rows[b].of(metric, shared) for a, b in pairs], axis=0)
-            effects.append({"of": ingredient, "in": metric, **_over_seeds(by_seed)})
+            effects.append({"of": ingredient, "in": metric, **_over_seeds(by_seed, *_bounds(metric, -1.0))})
     return effects

@@ -246,7 +246,7 @@ def figures(runs: Trained) -> Figures:
         "navigation_time_charged": _mean_where(np.where(timeout, TIME_CHARGED, runs.time), success | timeout),
         "total_reward": runs.total_reward.mean(axis=1),
         "start_success": runs.validation[:, 0],
-        "course_success": runs.validation.mean(axis=1),  # the area under the curve, of evenly spaced validations
+        "course_success": runs.validation.mean(axis=1),  # of all, that after imitation included
         "early_success": runs.validation[:, first].mean(axis=1) if first.any() else np.full(len(runs.seeds), np.nan),
         "early_training_success": runs.training[:, : int(EARLY * runs.training.shape[1])].mean(axis=1),
         "drops": np.maximum(-np.diff(runs.validation, axis=1), 0).mean(axis=1),  # 0 is steady
