@@ -4,7 +4,7 @@ The value to learn for a state is the return that followed it, under the reward 
 trajectories, without rewards and states, so one collection serves every reward and state.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from sfmrl.config import Config, ConfigError
@@ -76,9 +76,9 @@ class Fit(Resumable):
 
 
 def fit_memory(
-    fit: Fit, memory: Memory, save_epoch: Callable[[dict], None], progress: Callable[[int], None] = lambda batches: None
-) -> None:
-    """Run the epochs that are left; calls `save_epoch` with metrics after each, `progress` with 1 after each batch."""
+    fit: Fit, memory: Memory, progress: Callable[[int], None] = lambda batches: None
+) -> Iterator[dict[str, Any]]:
+    """Run the epochs that are left, and yield metrics after each; calls `progress` with 1 after each batch."""
     while fit.epoch < fit.settings.epochs:
         loss = fit.run_epoch(memory, progress)
-        save_epoch({"epoch": fit.epoch, "loss": loss})
+        yield {"epoch": fit.epoch, "loss": loss}

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from sfmrl.config import Config, ConfigError, Reward, Untrusted, override, suggest
+from sfmrl.config import Config, ConfigError, Untrusted, override, suggest
 
 READ_ONLY = "what it is given is read-only: work on a copy, as numpy.array(...) makes one"
 HINTS = {  # what to change in a user's function, by a part of the error that it raises
@@ -167,11 +167,6 @@ def absolute(name: str) -> str:
     """A reward's name with an absolute path, if it has a path, so that the file is found from any folder."""
     place, colon, function = name.rpartition(":")
     return f"{Path(place).resolve()}{colon}{function}" if place.endswith(".py") else name
-
-
-def reward_digest(settings: Reward) -> str | None:
-    """`code_digest` of a user's reward."""
-    return code_digest(settings.reward)
 
 
 def code_digest(name: str) -> str | None:

@@ -23,8 +23,7 @@ def orca_policy(world: World, crowd_velocity: np.ndarray) -> np.ndarray:
     simulation = world.simulation
     if simulation.crowd == "orca" and simulation.robot_visible and not simulation.safety_space:
         return crowd_velocity[:, 0]  # the crowd's ORCA has computed the same for row 0
-    robot_only = np.zeros(world.square.shape, dtype=bool)
-    robot_only[:, 0] = True
+    robot_only = np.arange(world.square.shape[1]) == 0
     return orca_crowd(world, world.position, robot_only, simulation.safety_space)[:, 0]
 
 

@@ -63,7 +63,7 @@ class World(Batch):
         return self.steps * self.simulation.time_step
 
     @property
-    def shape(self) -> tuple[np.ndarray, np.ndarray]:
+    def half_and_radius(self) -> tuple[np.ndarray, np.ndarray]:
         """Half sides of solid squares (0 for others), and radii of discs (0 for solid squares), each (E, N) m."""
         solid = self.square & (self.simulation.squares == "solid")
         return np.where(solid, self.radius, 0.0), np.where(solid, 0.0, self.radius)
@@ -71,7 +71,7 @@ class World(Batch):
     @property
     def gap(self) -> np.ndarray:
         """Gap from the robot to each element, (E, N - 1) m, NaN for absent ones."""
-        half, radius = self.shape
+        half, radius = self.half_and_radius
         return square_gap(self.position[:, 1:] - self.position[:, :1], half[:, 1:])[0] - radius[:, 1:] - radius[:, :1]
 
     @property
@@ -130,7 +130,10 @@ def crowd_velocities(world: World) -> np.ndarray:
 def orca_crowd(
     world: World, position: np.ndarray, agents: np.ndarray | None = None, safety_space: float = 0.0
 ) -> np.ndarray:
-    """ORCA's velocities (E, N, 2) for `agents` (E, N), or all; `safety_space` m is added to every radius."""
+    """ORCA's velocities (E, N, 2), NaN for others than `agents`; `safety_space` m is added to every radius.
+
+    `agents` broadcasts to (E, N); by default it is everybody.
+    """
     simulation = world.simulation
     return orca_velocities(
         np.where(world.square[..., None], np.nan, position),
@@ -196,7 +199,7 @@ def smallest_gaps(world: World, action: np.ndarray) -> np.ndarray:
     offset = (position[:, :, 1:] - position[:, :, :1])[:, *axes]  # (2, E, 1, K)
     moving = velocity[:, :, 1:][:, *axes] - action.transpose(-1, *range(action.ndim - 1))[..., None]  # (2, E, A, K)
     apart, moving = (part.transpose(*range(1, part.ndim), 0) for part in (offset, moving))  # (E, A, K, 2)
-    half, radius = world.shape
+    half, radius = world.half_and_radius
     gap = closest_approach(apart, moving, world.simulation.time_step, half[:, 1:][axes])
     return np.fmin(gap - (radius[:, 1:] + radius[:, :1])[axes], np.inf)  # NaN, to absent elements, becomes +inf
 

@@ -269,7 +269,7 @@ def taught(config: Config) -> Learner:
     """A learner after imitation."""
     memory, fit = make_memory(config), Fit(config)
     fill_memory(memory, demonstrate(config), config)
-    fit_memory(fit, memory, lambda row: None)
+    list(fit_memory(fit, memory))
     return Learner(fit.network, memory, config)
 
 

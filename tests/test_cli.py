@@ -274,6 +274,7 @@ WRONG_USE = [
     (("il", "--overwrite"), ("--overwrite needs the folder to replace", "--run")),
     (("eval", "orca", "--humans", "201"), ("--humans is 201; it must be at most 200",)),
     (("eval", "orca", "--reward", "mine.py:mine"), ("there is no file mine.py", "path")),
+    (("eval", "orca", "--reward", "mine.py:fire"), ("reward mine.py:fire: there is no file",)),  # not an emoji
     (("explain", "orca", "--steps", "x"), ("--steps is 'x'", "as in 10:20")),
     (("explain", "orca", "--every", "0"), ("--every",)),
     (("explain", "orca", "--csv", "."), (". is not a regular file", "name a file")),

@@ -184,7 +184,7 @@ def test_text_is_the_frame_that_the_replay_shows_at_that_time():
     assert "at the start" in env.render()
     assert "T 25 s" in env.render()
     record = sfmrl.play(scene, lambda world, _: robot_velocity(world, np.array([FORWARD])), reward=reward)
-    replay = Replay((make_story(record, 0, None, reward, 0.9),), ("",))
+    replay = Replay((make_story(record, None, reward, 0.9),), ("",))
     for step in range(1, 1 + record.steps[0]):
         env.step(FORWARD)
         shown, frame = env.render().split("\n"), replay.frame(step).plain.split("\n")

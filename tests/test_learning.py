@@ -134,13 +134,13 @@ def test_a_fit_goes_on_to_the_same_bits_from_what_it_saved():
     config, memory = Config(imitation=Imitation(batch_size=10, epochs=2)), Memory(25, 3)
     memory.push(*random_batch(0, count=25))
     whole, resumed = Fit(config), Fit(config)
-    fit_memory(whole, memory, lambda row: None)
+    list(fit_memory(whole, memory))
     resumed.run_epoch(memory, lambda count: None)
     saved = resumed.state_dict()
     resumed = Fit(override(config, {"seed": 1}))
     resumed.load_state_dict(saved)
     assert resumed.batches_left(memory) == 3
-    fit_memory(resumed, memory, lambda row: None)
+    list(fit_memory(resumed, memory))
     np.testing.assert_array_equal(resumed.network.flat, whole.network.flat)
 
 
@@ -296,8 +296,7 @@ def test_imitation_improves_on_the_untrained_network():
 
     fit = Fit(config)
     before = held_out_error(fit.network)
-    rows = []
-    fit_memory(fit, memory, rows.append)
+    rows = list(fit_memory(fit, memory))
     assert held_out_error(fit.network) < before / 2
     assert rows[-1]["loss"] < rows[0]["loss"] / 2
 

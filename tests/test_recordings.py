@@ -22,7 +22,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 def replay():
     """A function that returns the replay of one episode as policies play it."""
     scenes = sample_scenes("2", [0])
-    stories = {name: make_story(play(scenes, name), 0, POLICIES[name], Reward(), 0.9) for name in ("orca", "linear")}
+    stories = {name: make_story(play(scenes, name), POLICIES[name], Reward(), 0.9) for name in ("orca", "linear")}
     return lambda *names, ascii_only=False: Replay(tuple(stories[name] for name in names), names, ascii_only)
 
 

@@ -8,7 +8,8 @@ from sfmrl.episodes import play_episodes
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import find_policy, linear_policy, orca_policy
-from sfmrl.recovery import RecoveringPolicy, straight_way_is_free, with_recovery
+from sfmrl.recovery import RecoveringPolicy, with_recovery
+from sfmrl.recovery.policy import straight_way_is_free
 from sfmrl.recovery.remembering import RememberingPolicy
 from sfmrl.scenes import Scenes, sample_scenes
 from sfmrl.world import reset

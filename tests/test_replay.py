@@ -16,7 +16,7 @@ from sfmrl.config import Reward, Simulation
 from sfmrl.episodes import Record, play, play_episodes
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.policies import linear_policy, orca_policy
-from sfmrl.replay.canvas import Canvas, View, fit_view
+from sfmrl.replay.canvas import Canvas, Style, View, fit_view
 from sfmrl.replay.frames import (
     SIDE_BY_SIDE_COLUMNS,
     STACKED_LINES,
@@ -50,7 +50,7 @@ def frames_of(record, policy=None, *, label="", reward=Reward(), width=80, heigh
     """All frames of a record's first episode, as `policy` sees it."""
     if isinstance(policy, Eyes):
         record = replace(record, notes=policy.notes(record.steps[0]))
-    story = make_story(record, 0, policy, reward, 0.9)
+    story = make_story(record, policy, reward, 0.9)
     return Replay((story,), (label,), ascii_only).frames(width, height)
 
 
@@ -184,6 +184,11 @@ def test_many_few_and_absent_elements():
     absent = frames_of(record_of(walk(others=((np.nan, np.nan), (1.0, 1.0)))), policy=Eyes(0.0, 1.0))
     assert "■1" not in absent[3].plain
     assert " 2 █" in absent[3].plain
+    unseen = frames_of(record_of(walk(others=((2.0, 0.0),))), policy=Eyes(0.0))  # beyond the network's reach, say
+    assert re.search(r" 1 +0%", unseen[3].plain)
+    assert not any(span.style == Style.MOST_ATTENTION for span in unseen[3].text.spans)
+    seen = frames_of(record_of(walk(others=((2.0, 0.0),))), policy=Eyes(1.0))
+    assert any(span.style == Style.MOST_ATTENTION for span in seen[3].text.spans)
 
 
 def test_attention_is_listed_from_most_to_least():
@@ -281,7 +286,7 @@ def test_values_of_the_actions_and_of_the_next_one():
 
 
 def test_what_is_faint_or_bold_stays_with_its_own_words():
-    story = make_story(record_of(walk()), 0, None, Reward(reward="sfm"), 0.9)
+    story = make_story(record_of(walk()), None, Reward(reward="sfm"), 0.9)
     console = Console()
     for names, width in (("a",), 80), (("a", "b"), 80), (("a", "b"), 200):
         text = Replay((story,) * len(names), names).frame(5, width, 24).text
@@ -442,7 +447,7 @@ def test_a_stretch_that_recovery_led_is_marked_and_told():
 def stories():
     """The same episode as ORCA and a robot that goes straight play it: one of them ends before the other."""
     scenes, policies = sample_scenes("2", [0]), {"orca": orca_policy, "linear": linear_policy}
-    return {name: make_story(play(scenes, policy), 0, policy, Reward(), 0.9) for name, policy in policies.items()}
+    return {name: make_story(play(scenes, policy), policy, Reward(), 0.9) for name, policy in policies.items()}
 
 
 def replay(stories, *names, ascii_only=False):

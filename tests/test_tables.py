@@ -170,7 +170,7 @@ def test_what_is_no_seed_is_named(text):
 
 
 def test_a_row_that_is_not_in_the_table_is_named():
-    assert parse_rows(1, "sarl, sarl-sfm6") == ["sarl", "sarl-sfm6"]
+    assert parse_rows(1, "sarl, sarl-sfm6, sarl") == ["sarl", "sarl-sfm6"]  # each once
     with pytest.raises(ConfigError, match=r"table 2 has no row 'sarl-sfm5'.*did you mean sarl-sfm6"):
         parse_rows(2, "sarl-sfm5")
 

@@ -280,7 +280,7 @@ def test_a_replay_shows_where_the_robot_points_and_explain_how_it_turns():
     up, right = np.array([[0.0, 1.0]]), np.array([[1.0, 0.0]])
     scenes = Scenes([[[0, 0], [3, 3]]], [[[9, 0], [3, 3]]])
     record = play(scenes, lambda world, moves: -right if world.steps[0] < 2 else 0.0 * up, kinematics="unicycle")
-    story = make_story(record, 0, load_policy("linear"), Config().reward, 0.9)
+    story = make_story(record, load_policy("linear"), Config().reward, 0.9)
     frames = [Replay((story,), ("own",)).frame(t).plain for t in (0, 1, 2, 3)]
     assert ["→" in frame for frame in frames] == [True, False, False, False]
     explained = explain_episode(record, 0, load_policy("linear"), Config().reward, 0.9)

@@ -17,6 +17,7 @@ import pytest
 from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import RATES
 from sfmrl.lessons import Finding
+from sfmrl.lessons.handed_in import runs_in
 from sfmrl.lessons.rerun import Disagreement, Rerun
 from sfmrl.lessons.verify import verify
 from sfmrl.network import ValueNetwork
@@ -341,6 +342,16 @@ def test_one_archive_of_one_run_is_told_in_full(sfmrl, copy, tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.splitlines()[-1].startswith("il.tar: .: all ")
     assert "SHA256SUMS" in done.stdout
+
+
+def test_an_archive_that_this_python_cannot_unpack_safely_is_left_packed(tmp_path, monkeypatch):
+    archive = Path(shutil.make_archive(str(tmp_path / "run"), "tar", tmp_path))
+    monkeypatch.delattr(tarfile, "data_filter")  # Python before 3.11.4
+    with runs_in([archive]) as (runs, errors):
+        assert (runs, [str(error) for error in errors]) == (
+            {},
+            [f"{archive} can be unpacked safely from Python 3.11.4 on; unpack it yourself"],
+        )
 
 
 @pytest.mark.parametrize(

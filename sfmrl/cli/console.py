@@ -29,8 +29,8 @@ class _Console(Console):
         raise typer.Exit(0)
 
 
-out = _Console(highlight=False)
-err = _Console(stderr=True, highlight=False)
+out = _Console(highlight=False, emoji=False)
+err = _Console(stderr=True, highlight=False, emoji=False)
 
 
 def say(text: str) -> None:
@@ -105,7 +105,8 @@ def _seconds(row: dict[str, Any]) -> str:
 
 def print_table(table: Table) -> None:
     """Print a table, wider than the terminal where Rich would cut off a cell: then its lines wrap."""
-    wide = _Console(highlight=False, width=max(out.width, WIDTH))  # `out` prints no table wider than the terminal
+    # Not `out`, which prints no table wider than the terminal.
+    wide = _Console(highlight=False, emoji=False, width=max(out.width, WIDTH))
     if any(CUT in segment.text for segment in wide.render(table)):
         wide.width = Measurement.get(wide, wide.options.update_width(WIDEST), table).maximum
     wide.print(table, crop=False)

@@ -194,11 +194,10 @@ def plot(
     if scenes:
         names, config = "12345" if test.place is None else [test.place], override(Config(), settings)
         save(scenes_figure([test.scene(name, episode, config) for name in names]), out)
-        say(f"wrote {out}")
-        return
-    chosen, _, config = test.choose(policy, settings)
-    scene = test.scene(test.where(config), episode, config)
-    draw_episode(play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount), out)
+    else:
+        chosen, _, config = test.choose(policy, settings)
+        scene = test.scene(test.where(config), episode, config)
+        draw_episode(play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount), out)
     say(f"wrote {out}")
 
 

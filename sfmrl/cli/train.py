@@ -193,14 +193,14 @@ def _already_finished(run: Any) -> bool:
 
 def _train(run: Any, work: Callable[..., Any]) -> Any:
     """Train; raises Interrupted, which says how to go on, if a stop is requested."""
-    from sfmrl.own_code import reward_digest
+    from sfmrl.own_code import code_digest
     from sfmrl.rewards import reward_terms
     from sfmrl.runs.bits import machine_bits
     from sfmrl.runs.progress import Interrupted, StopSignal, show_progress
     from sfmrl.runs.run import sole_use
 
     how = on_run(f"{run.kind} --resume", run)
-    if run.facts.get("own_reward") != reward_digest(run.config.reward):
+    if run.facts.get("own_reward") != code_digest(run.config.reward.reward):
         raise ConfigError(f"{run.config.reward.reward} has changed since {run.folder} began; start a new run with it")
     reward_terms(run.config.reward)  # raises an error that says why, if it cannot or must not be used
     with sole_use(run), StopSignal(say) as stop:

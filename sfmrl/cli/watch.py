@@ -130,7 +130,7 @@ def _replay(
     for policy in policies:
         simulation = simulation_for(policy, config, settings)
         record = play_episodes(scene, policy, config.reward, simulation, discount=config.discount, keep=True)
-        stories.append(make_story(record, 0, policy, config.reward, config.discount))
+        stories.append(make_story(record, policy, config.reward, config.discount))
     labels = tuple(Path(name).name for name in named)
     differ = len(set(labels)) == len(labels)  # they do not if runs in two folders have the same name
     return Replay(tuple(stories), labels if differ else named, ascii_only=ascii_only)

@@ -30,7 +30,7 @@ def as_text(crowd: Crowd, past: list[tuple[World, Transition]]) -> str:
     record = _recorded(crowd, steps)
     reward = crowd.reward if isinstance(crowd.reward, Reward) else Reward()
     own = reward is not crowd.reward  # a function, which a story cannot take
-    story = make_story(record, 0, None, reward, DISCOUNT)
+    story = make_story(record, None, reward, DISCOUNT)
     if own:
         terms = crowd.terms(record.transition[0])
         factors = step_discount(DISCOUNT, crowd.world.v_pref[0, 0], crowd.simulation) ** np.arange(len(steps))

@@ -7,14 +7,14 @@ chooses; the gap is the smallest during it; everything else is from its end.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from sfmrl.config import ConfigError, Reward
 from sfmrl.episodes import Record
 from sfmrl.geometry import length, wrapped
-from sfmrl.lookahead import Lookahead, step_discount
+from sfmrl.lookahead import step_discount
 from sfmrl.replay.story import Story, make_story
 from sfmrl.rewards import Transition, reward_terms, total
 from sfmrl.sfm import resultant
@@ -65,8 +65,8 @@ def explain_episode(record: Record, row: int, policy: Any, reward: Reward, disco
     Each step's row has the terms of `reward` by their names, and those of all rewards as "sfm: distance" and so on. It
     has values of actions if the policy looks ahead and the scene has elements.
     """
-    story = make_story(record, row, policy, reward, discount)
     one = record.take(np.array([row]))
+    story = make_story(one, policy, reward, discount)
     transition = one.transition[0, : story.last]
     factors = float(step_discount(discount, one.scenes.v_pref[0, 0], one.simulation)) ** np.arange(story.last)
     rewards = PAPER_REWARDS
@@ -159,7 +159,7 @@ def _events(story: Story) -> list[str]:
     for step in np.flatnonzero(story.stuck != before).tolist():
         events[step].append("stuck: led around the squares" if story.stuck[step] else "free again")
     if story.look is not None:
-        passed_over = story.look.values.argmax(1) != _taken(story)
+        passed_over = story.look.values.argmax(1) != story.taken
         for step in np.flatnonzero(passed_over & ~story.stuck).tolist():
             events[step].append("best action passed over: it may lead into a trap")
     return ["; ".join(words) for words in events]
@@ -174,12 +174,7 @@ def _values(story: Story) -> dict[str, np.ndarray]:
     """Return the value of the action taken in each step and the best one of the others; nothing without values."""
     if story.look is None:
         return {}
-    taken = np.arange(story.last), _taken(story)
+    taken = np.arange(story.last), story.taken
     others = story.look.values.astype(float)
     others[taken] = -np.inf
     return {"value": story.look.values[taken], "runner_up": others.max(1)}
-
-
-def _taken(story: Story) -> np.ndarray:
-    """Return the number of the action taken in each step, (T,)."""
-    return length(cast(Lookahead, story.look).actions - story.velocity[1:, 0, None]).argmin(1)

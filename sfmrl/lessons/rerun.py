@@ -51,7 +51,9 @@ class Rerun:
             raise Disagreement(f"it holds {whole}, config.json asks for {settings.episodes}")
         count = min(self.episodes, settings.episodes)
         # Any reward: ORCA's paths do not depend on it, and the run's own may be code that is not to be run.
-        again = demonstrate(replace(run.config, reward=Reward(), imitation=replace(settings, episodes=count)))
+        config = replace(run.config, reward=Reward(), imitation=replace(settings, episodes=count))
+        with self.progress("demonstrations", count) as advance:
+            again = demonstrate(config, advance)
         stored = stored.take(np.arange(count))
         exact = np.array_equal(stored.position[:, : again.position.shape[1]], again.position, equal_nan=True)
         return self.judged(f"of {whole}, played by ORCA again,", again, stored.outcome, stored.steps, exact)

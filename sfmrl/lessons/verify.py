@@ -12,7 +12,7 @@ from sfmrl.config import ConfigError, counted
 from sfmrl.evaluation import RATES
 from sfmrl.lessons import Finding
 from sfmrl.lessons.rerun import Disagreement, Rerun, outcomes, result_of
-from sfmrl.own_code import UntrustedReward, reward_digest, trusted
+from sfmrl.own_code import UntrustedReward, code_digest, trusted
 from sfmrl.runs.bits import versions
 from sfmrl.runs.files import SUMS, DamagedFile, digest_of, read_regular, read_sums, read_table
 from sfmrl.runs.folders import BEST, CHECKPOINT, DEMONSTRATIONS, MAP, WEIGHTS, finished, unfinished
@@ -144,7 +144,7 @@ def _weights(run: Run) -> str:
 def _own_reward(run: Run, trust: bool) -> str | Finding:
     """A user's reward exists and has not changed; without `trust`, it is not judged and must not be run."""
     name = run.config.reward.reward
-    if run.facts["own_reward"] != reward_digest(run.config.reward):
+    if run.facts["own_reward"] != code_digest(name):
         raise Disagreement(f"{name} is not the file that the run was trained with; put that one there")
     if not trust:
         unchecked = "that the network does what test.csv and result.json say" if run.kind == "rl" else "nothing here"

@@ -5,6 +5,6 @@
 """
 
 from sfmrl.recovery.planner import Geodesics, plan, solvable
-from sfmrl.recovery.policy import RecoveringPolicy, straight_way_is_free, with_recovery
+from sfmrl.recovery.policy import RecoveringPolicy, with_recovery
 
-__all__ = ["Geodesics", "RecoveringPolicy", "plan", "solvable", "straight_way_is_free", "with_recovery"]
+__all__ = ["Geodesics", "RecoveringPolicy", "plan", "solvable", "with_recovery"]

@@ -114,7 +114,7 @@ class RecoveringPolicy:
 def straight_way_is_free(world: World, inflation: float) -> np.ndarray:
     """Whether the robot could go straight to its goal and keep `inflation` (m) from all squares, (E,) bool."""
     way = world.goal[:, :1] - world.position[:, :1]
-    half, radius = (part[:, 1:] for part in world.shape)
+    half, radius = (part[:, 1:] for part in world.half_and_radius)
     gap = closest_approach(world.position[:, 1:] - world.position[:, :1], -way, 1.0, half) - radius
     near = gap < world.radius[:, :1] + inflation
     return ~(near & world.square[:, 1:]).any(1)

@@ -12,4 +12,5 @@ An episode first becomes a `Story`, arrays over its moments. A `Replay` of one o
     legend.py       what symbols, colours and keys mean
     screen.py       playback in a terminal, with keys
     recordings.py   SVG and asciinema recordings
+    picture.py      scenes and episodes as SVG and HTML, for notebooks and web pages
 """

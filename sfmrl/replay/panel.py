@@ -6,7 +6,7 @@ All functions return texts of a given size. Parts that a policy does not have ar
 import numpy as np
 from rich.text import Text
 
-from sfmrl.geometry import length
+from sfmrl.geometry import length, unit
 from sfmrl.replay.canvas import FORCE_ARROWS, Style, fitted, octant, styled
 from sfmrl.replay.story import Story, glyph_of
 from sfmrl.replay.timeline import OUTCOMES
@@ -120,8 +120,9 @@ def _elements(story: Story, t: int, rows: int, columns: int) -> list[Text]:
         if with_repulsions:
             right = Text.assemble(" ", _force(story.force[t, element]), right)
         if attention is not None:
-            share, style = attention[t, element], Style.MOST_ATTENTION if element == order[0] else ""
-            left.append(_bar(share / attention.max(), columns - 9 - right.cell_len), style or "grey58")
+            share = attention[t, element]
+            style = Style.MOST_ATTENTION if share and element == order[0] else ""
+            left.append(_bar(share / (attention.max() or 1.0), columns - 9 - right.cell_len), style or "grey58")
             right = Text.assemble((f"{share:4.0%}", style), right)
         lines.append(fitted(left, columns, right))
     return lines
@@ -138,7 +139,7 @@ def _actions(story: Story, t: int, rows: int, columns: int) -> list[Text]:
     if t == story.last or story.look is None:
         return []
     actions, values = story.look.actions[t], story.look.values[t]
-    taken = int(length(actions - story.velocity[t + 1, 0]).argmin())
+    taken = int(story.taken[t])
     lines = action_disc(actions, values, taken, rows)
     legend = [
         (f"o  next {values[taken]:7.3f}", Style.ROBOT),
@@ -161,7 +162,7 @@ def action_disc(actions: np.ndarray, values: np.ndarray, taken: int, rows: int) 
     speeds, ring = np.unique(np.round(length(actions), 6), return_inverse=True)
     heading = np.arctan2(actions[:, 1], actions[:, 0])
     reach = radius * ring / max(len(speeds) - 1, 1)  # (A,) in rows
-    place = reach[:, None] * np.stack((np.cos(heading), np.sin(heading)), -1)  # (A, 2)
+    place = reach[:, None] * unit(heading)  # (A, 2)
     y, x = np.mgrid[radius : -radius - 1 : -1, -radius : radius : (2 * rows - 1) * 1j]
     cells = np.stack((x, y), -1)  # (rows, columns, 2)
     distance = length(cells[:, :, None] - place)  # (rows, columns, A)

@@ -18,7 +18,7 @@ from sfmrl.sfm import resultant
 TRAIL_MOMENTS = 8  # length of a person's trail
 TRAIL_POINTS = 4  # points per step of the robot's trail
 RING_ROWS = 0.9  # rows: discs of at least this radius are drawn as rings
-UNIT_RING = np.stack((np.cos(np.arange(48) * np.pi / 24), np.sin(np.arange(48) * np.pi / 24)), -1)
+UNIT_RING = unit(np.arange(48) * np.pi / 24)
 ARROW_METRES = 0.5  # m, length of an arrow for 1 m/s or 1 m/s^2
 STANDING = 0.3  # m/s, for which a unicycle robot has an arrow if it is slower
 ARROW_RANGE = (0.05, 2.0)  # m/s or m/s^2: no arrow for less, no longer arrow for more
@@ -35,7 +35,8 @@ def draw_moment(story: Story, t: int, view: View, people_trails: bool) -> Canvas
     share = np.arange(TRAIL_POINTS)[:, None, None] / TRAIL_POINTS
     trail = (1 - share) * position[:t, 0] + share * position[1 : t + 1, 0]  # (TRAIL_POINTS, t, 2)
     canvas.dots(trail[length(trail - position[t, 0]) > story.radius[0]], Style.ROBOT)
-    marked = {} if story.attention is None else {1 + story.attention[t].argmax(): Style.MOST_ATTENTION}
+    share_of = np.zeros(0) if story.attention is None else story.attention[t]
+    marked = {1 + share_of.argmax(): Style.MOST_ATTENTION} if share_of.any() else {}
     hit = story.hit if t == story.last else ()
     if len(hit):
         marked |= dict.fromkeys((0, *hit), Style.DANGER)

@@ -61,7 +61,7 @@ def to_cast(frames: Sequence[Frame], title: str, speed: float = 1.0, colour: boo
     return "".join(json.dumps(line, ensure_ascii=ascii_only) + "\n" for line in lines)
 
 
-def _console(columns: int, **options) -> Console:
+def _console(columns: int, record: bool = False) -> Console:
     """A console that keeps its output in memory and reads no environment variables."""
     return Console(
         file=io.StringIO(),
@@ -70,7 +70,7 @@ def _console(columns: int, **options) -> Console:
         color_system="256",
         legacy_windows=False,
         _environ={},
-        **options,
+        record=record,
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from sfmrl.actions import Policy
 from sfmrl.config import Reward
 from sfmrl.episodes import Record
+from sfmrl.geometry import length
 from sfmrl.lookahead import Lookahead, SarlPolicy, step_discount
 from sfmrl.rewards import RUNNING, reward_terms, total
 from sfmrl.sfm import repulsive_forces
@@ -55,6 +56,11 @@ class Story:
         """Rows of the elements that the robot collided with; empty without a collision."""
         return 1 + np.flatnonzero((self.separations[-1] < 0) & (self.outcome == "collision"))
 
+    @property
+    def taken(self) -> np.ndarray:
+        """Which of the actions in `look` was taken in each step, (T,)."""
+        return length(cast(Lookahead, self.look).actions - self.velocity[1:, 0, None]).argmin(1)
+
     def called(self, row: int | np.integer) -> str:
         """An element's name: "person 3", "square 8"."""
         return f"{'square' if self.square[row] else 'person'} {glyph_of(row)}"
@@ -71,12 +77,12 @@ def scene_name(environment: str, episode: int) -> str:
     return f"{named} · episode {episode}"
 
 
-def make_story(record: Record, row: int, policy: Policy | None, reward: Reward, discount: float) -> Story:
-    """The story of the episode in one row of a record of `policy`; returns have the `discount` per second at 1 m/s.
+def make_story(record: Record, policy: Policy | None, reward: Reward, discount: float) -> Story:
+    """The story of the first episode of a record of `policy`; returns have the `discount` per second at 1 m/s.
 
     It has attention, values and stuck steps if the record has notes (`play_episodes(keep=True)`).
     """
-    record = record.take(np.array([row]))
+    record = record.take([0])
     scenes, steps = record.scenes, int(record.steps[0])
     moments = record.world_at(np.zeros(steps + 1, dtype=int), np.arange(steps + 1))
     step = record.transition[0, :steps]

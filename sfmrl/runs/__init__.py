@@ -12,6 +12,6 @@ during the training, enter at its end. A continued run starts from its newest ch
 
 `files` writes and checks files. `folders` lists runs, `run` opens one, `create` makes one. `weights` and `crowdnav`
 read and write networks, `demonstrations` trajectories. `training` runs the algorithms, `explorer` plays their episodes
-on a second process, `progress` reports on them.
+on a second process, `progress` reports on them, `bits` says which versions and bits a run was made with.
 This module imports nothing, so that `sfmrl --help` and shell completion do without NumPy.
 """

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sfmrl.config import Config, ConfigError
-from sfmrl.own_code import reward_digest
+from sfmrl.own_code import code_digest
 from sfmrl.rewards import reward_terms
 from sfmrl.runs.bits import versions
 from sfmrl.runs.files import SUMS, DamagedFile, digest_of, read_sums, write_together
@@ -64,7 +64,7 @@ def create_run(  # type: ignore[return]  # its loop over count(1) ends by a retu
         "created": datetime.now(UTC).isoformat(),
         "command": shlex.join(["sfmrl", *sys.argv[1:]]),
         "versions": versions(),
-        "own_reward": reward_digest(config.reward),
+        "own_reward": code_digest(config.reward.reward),
         **facts,
     }
     files = {"config.json": config.to_json()}

@@ -51,17 +51,14 @@ def fit(run: Run, memory: Memory, saved: dict[str, Any] | None, progress: Progre
     if saved:
         with run.restoring():
             fitted.load_state_dict(saved["fit"])
-            rows += saved.get("rows", [])
-
-    def save_epoch(row: dict[str, Any]) -> None:
-        rows.append(row)
-        if run.kind == "il":
-            write_text(run.folder / "metrics.csv", csv_text(rows))
-        run.save_checkpoint({"fit": fitted.state_dict(), "rows": rows})
-        stop.check()
-
+            rows += saved["rows"]
     with progress("imitation", fitted.batches_left(memory)) as advance:
-        fit_memory(fitted, memory, save_epoch, advance)
+        for row in fit_memory(fitted, memory, advance):
+            rows.append(row)
+            if run.kind == "il":
+                write_text(run.folder / "metrics.csv", csv_text(rows))
+            run.save_checkpoint({"fit": fitted.state_dict(), "rows": rows})
+            stop.check()
     return fitted.network
 
 

@@ -46,7 +46,7 @@ def plain_table(*headings: str, first: JustifyMethod = "left", gap: int = 0, tit
     above, air = None if title is None else Text(title), (0, gap, 0, 0)
     table = Table(title=above, title_justify="left", box=SIMPLE_HEAD, padding=air, pad_edge=False, show_edge=False)
     for number, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if number else first, no_wrap=True)
+        table.add_column(Text(heading), justify="right" if number else first, no_wrap=True)
     return table
 
 

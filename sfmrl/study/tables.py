@@ -123,9 +123,9 @@ def run_folder(folder: Path, number: int, preset: str, row: str, seed: int) -> P
 
 
 def parse_rows(number: int, text: str | None) -> list[str]:
-    """Return a table's rows named in `text`, separated by commas, or all by default; raises ConfigError on others."""
+    """Return a table's rows named in `text`, each once, or all by default; raises ConfigError on other names."""
     known = TABLES[number].paper
-    rows = list(known) if text is None else [name.strip() for name in text.split(",")]
+    rows = list(known if text is None else dict.fromkeys(map(str.strip, text.split(","))))
     for name in rows:
         if name not in known:
             raise ConfigError(f"table {number} has no row {name!r}; it has {', '.join(known)}{suggest(name, known)}")
