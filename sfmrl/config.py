@@ -1,7 +1,8 @@
 """Every setting of sfmrl with its default, unit, source and help text, from which its option is made.
 
 The defaults are the paper's ("Effects of a Social Force Model reward in Robot Navigation based on Deep Reinforcement
-Learning", Gil and Sanfeliu) or, marked "CrowdNav", those of CrowdNav/SARL (Chen et al., 2019).
+Learning", Gil and Sanfeliu) or, marked "CrowdNav", those of CrowdNav/SARL (Chen et al., 2019); those marked "ours", and
+the planner, are sfmrl's own.
 """
 
 import difflib
@@ -81,7 +82,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Simulation(Settings):
-    """Who the humans are, how they move, and when an episode ends; CrowdNav's values."""
+    """Who the humans are, how they move, and when an episode ends; CrowdNav's values, except where they are marked."""
 
     time_step: float = knob(0.25, "length of a step, s", 1e-3, 1)
     time_limit: float = knob(25.0, "an episode is timed out 1 s before this time, s (CrowdNav)", 1, 3600)
@@ -92,7 +93,9 @@ class Simulation(Settings):
         choices=("holonomic", "unicycle"),
     )
     squares: str = knob(
-        "solid", "measure gaps to squares from their outline or the disc inside (paper)", choices=("solid", "disc")
+        "solid",
+        "measure gaps to squares from their outline (ours) or the disc inside (paper)",
+        choices=("solid", "disc"),
     )
     robot_visible: bool = knob(True, "the humans see the robot (paper: they do)")
     random_attributes: bool = knob(False, "humans differ: radius 0.3-0.5 m, at most 0.5-1.5 m/s (CrowdNav)")
@@ -119,7 +122,7 @@ class Simulation(Settings):
 
 @dataclass(frozen=True)
 class Reward(Settings):
-    """Numbers of the rewards: CrowdNav's, and the paper's second formula."""
+    """Numbers of the rewards: CrowdNav's, and those of the paper's Social Force Model reward."""
 
     reward: str = knob("crowd", "crowd (CrowdNav), sfm, sfm-discount (paper), or your own: file.py:function")
     success: float = knob(1.0, "reward for reaching the goal (CrowdNav)", *ANY_REWARD)
@@ -153,7 +156,7 @@ class Imitation(Settings):
     epochs: int = knob(50, "passes over the demonstrations", 1, 10_000)
     batch_size: int = knob(100, "states in a batch", 1, 100_000)
     learning_rate: float = knob(0.01, "learning rate", 0, 1000)
-    refit: bool = knob(True, "rl: fit the demonstrations again if its reward differs from that of il (paper)")
+    refit: bool = knob(True, "rl: fit the demonstrations again if its reward differs from that of il (CrowdNav)")
     environment: str = knob("1", "environments of the demonstrations")
 
 
@@ -191,7 +194,7 @@ class Config(Settings):
     seed: int = knob(0, "seed of all random numbers", 0, SEED)
     preset: str = knob("quick", "schedule: minutes, or as published (hours)", choices=("quick", "paper"))
     forces: bool = knob(False, "social forces in the state: 17 columns instead of 13")
-    discount: float = knob(0.9, "discount per second at 1 m/s (CrowdNav's gamma)", 0, 1)
+    discount: float = knob(0.9, "discount per second at 1 m/s (gamma; paper, CrowdNav)", 0, 1)
     value_prior: bool = knob(False, "write the value as 0.9^(goal distance - 0.3) (0.8 + network) (ours)")
     careful: bool = knob(
         False,

@@ -1,8 +1,8 @@
 """Rewards as pure functions: the arrays of a transition in, the named terms of the reward out.
 
 `crowd` is CrowdNav's sparse reward, `sfm` the paper's dense one, `sfm-discount` the same with a cost for arriving late.
-The simulator judges the episode's end (`outcome`) in CrowdNav's order: time-out, collision, goal, too close. The paper
-does not mention time-outs (worth 0, as in CrowdNav), and lists the goal after discomfort.
+The simulator judges the episode's end (`outcome`) in CrowdNav's order: time-out, collision, goal, too close. The paper's
+formulas have no case for time-outs (worth 0, as in CrowdNav), and put discomfort before the goal.
 """
 
 from collections.abc import Callable, Iterable
@@ -59,7 +59,7 @@ OwnReward = Callable[[Transition, Reward], np.ndarray]
 
 
 def crowd_terms(transition: Transition, p: Reward) -> Terms:
-    """CrowdNav's reward, the paper's first formula, with the numbers in `p`: terms by name, each (...).
+    """CrowdNav's reward, the paper's equation 6, with the numbers in `p`: terms by name, each (...).
 
     The slope of the discomfort is for a step of 0.25 s.
     """
@@ -74,7 +74,7 @@ def crowd_terms(transition: Transition, p: Reward) -> Terms:
 
 
 def sfm_terms(transition: Transition, p: Reward) -> Terms:
-    """The paper's Social Force Model reward, its second formula: terms by name, each (...).
+    """The paper's Social Force Model reward, its equation 7: terms by name, each (...).
 
     In the paper's symbols, v is the robot's velocity during the step, v_pref its preferred velocity at the step's
     start, and d_g the distance to the goal at the step's end. What it pays on the way is for a step of 0.25 s.

@@ -1,8 +1,8 @@
 """The Social Force Model: the goal attracts an agent, everything else repels it.
 
-Equations 1-3 of Gil and Sanfeliu, after Helbing and Molnar (1995). In the paper, distances are from centre to centre;
-agents that move by the model repel each other from surface to surface, and squares repel them from their outline, as in
-Helbing and Molnar. Left out: a field of view (anisotropy), contact forces, and groups.
+Equations 1-3 of Gil and Sanfeliu, after Helbing and Molnar (1995). In the robot's state, distances are from centre to
+centre, which is our reading of the paper; agents that move by the model repel each other from surface to surface, and
+squares repel them from their outline, as borders do in Helbing and Molnar. Left out: a field of view (anisotropy), contact forces, and groups.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from sfmrl.geometry import broadcast, direction, length, limit, square_gap, vect
 
 @dataclass(frozen=True)
 class SocialForce(Settings):
-    """Parameters of equations 1 and 2; the defaults are the paper's, for the robot's state."""
+    """Parameters of equations 1 and 2; a, b and d are by default the paper's, for the robot's state."""
 
     a: float = knob(1.0, "strength of the repulsion, m/s^2 (paper: a_z = 1)", 0, 1000)
     b: float = knob(1.0, "range of the repulsion, m (paper: b_z = 1)", 0.01, 1000)

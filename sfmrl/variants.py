@@ -4,7 +4,7 @@ from typing import Any
 
 from sfmrl.config import Config, ConfigError, override, suggest
 
-# The paper's environments, and the mixes of its two tables (shares add up to 1).
+# The mixes of the paper's two tables (shares add up to 1). That table 2's is also for its test is our reading.
 MIXES = {"table1": "1:0.7,2:0.3", "table2": "2:0.25,3:0.25,4:0.25,5:0.25"}
 
 PRESETS: dict[str, dict[str, Any]] = {

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from sfmrl.study.statistics import CONTRASTED
 
-PAPERS = ("success", "navigation_time", "total_reward")  # metrics that the paper reports under the same name
+PAPERS = ("success", "collision", "navigation_time", "total_reward")  # metrics that the paper reports, too
 
 
 @dataclass(frozen=True)

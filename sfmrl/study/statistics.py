@@ -32,6 +32,7 @@ CONTRASTS = {
 }
 CONTRASTED = {
     "success": "success in the test",
+    "collision": "collisions in the test",
     "start_success": "validation after imitation",
     "early_success": "validation, first quarter",
     "course_success": "validation, mean of all",

@@ -1,7 +1,7 @@
 """The paper's two tables: rows with the paper's figures, the trainings that make them, each seed's metrics.
 
 A table is made from finished run folders, wherever and in whichever order they were trained. All are tested on the same
-episodes, with the weights that the training ended with, as in the paper. Training, validation and test episodes are
+episodes, with the weights that the training ended with, as in CrowdNav. Training, validation and test episodes are
 drawn from separate streams, and never overlap.
 """
 
@@ -238,11 +238,12 @@ def figures(runs: Trained) -> Figures:
     until = np.where(reached.any(axis=1), runs.episodes[reached.argmax(axis=1)], np.nan)
     before = np.arange(runs.steps.shape[1]) < until[:, None]  # training episodes
     values = {
-        "success": success.mean(axis=1),  # this and the next three add up to 1
+        "success": success.mean(axis=1),  # with "collision" and "timeout", it adds up to 1
+        "collision": (runs.outcome == "collision").mean(axis=1),  # the sum of the next two
         "human_collision": (runs.hit == "human").mean(axis=1),
         "square_collision": (runs.hit == "square").mean(axis=1),
         "timeout": timeout.mean(axis=1),
-        "navigation_time": _mean_where(runs.time, success),  # s, as in the paper
+        "navigation_time": _mean_where(runs.time, success),  # s, as in CrowdNav
         "navigation_time_charged": _mean_where(np.where(timeout, TIME_CHARGED, runs.time), success | timeout),
         "total_reward": runs.total_reward.mean(axis=1),
         "start_success": runs.validation[:, 0],
