@@ -155,7 +155,7 @@ def play_episodes(
     """
     terms = reward_terms(reward)
     count, rows = scenes.start.shape[:2]
-    needed = 8 * count * simulation.longest * (5 * rows + 7)  # bytes of all that is recorded
+    needed = 8 * count * simulation.longest * (5 * rows + 9)  # bytes of all that is recorded
     if needed > memory_size():
         raise MemoryError(f"{count} episodes of up to {simulation.longest} steps need {needed / 1e9:.1f} GB")
     if begin := getattr(policy, "begin", None):

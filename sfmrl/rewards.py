@@ -1,8 +1,8 @@
 """Rewards as pure functions: the arrays of a transition in, the named terms of the reward out.
 
 `crowd` is CrowdNav's sparse reward, `sfm` the paper's dense one, `sfm-discount` the same with a cost for arriving late.
-The simulator judges the episode's end (`outcome`) in CrowdNav's order: time-out, collision, goal, too close. The paper's
-formulas have no case for time-outs (worth 0, as in CrowdNav), and put discomfort before the goal.
+The simulator judges the episode's end (`outcome`) in CrowdNav's order: time-out, collision, goal, too close. In the
+paper's formulas, time-outs have no case (they are worth 0, as in CrowdNav), and discomfort comes before the goal.
 """
 
 from collections.abc import Callable, Iterable
@@ -26,6 +26,7 @@ class Transition(Batch):
 
     time (...): s, at the end of the step
     time_step (...): s, how long the step takes
+    velocity_before (..., 2): m/s, the robot's before the step
     velocity (..., 2): m/s, the robot's during the step (its action)
     preferred_velocity (..., 2): m/s, of length v_pref, from the start of the step towards the goal
     goal_distance_before (...): m, from the robot to its goal at the start of the step
@@ -37,6 +38,7 @@ class Transition(Batch):
 
     time: np.ndarray
     time_step: np.ndarray
+    velocity_before: np.ndarray
     velocity: np.ndarray
     preferred_velocity: np.ndarray
     goal_distance_before: np.ndarray

@@ -2,7 +2,8 @@
 
 Equations 1-3 of Gil and Sanfeliu, after Helbing and Molnar (1995). In the robot's state, distances are from centre to
 centre, which is our reading of the paper; agents that move by the model repel each other from surface to surface, and
-squares repel them from their outline, as borders do in Helbing and Molnar. Left out: a field of view (anisotropy), contact forces, and groups.
+squares repel them from their outline, as borders do in Helbing and Molnar. Left out: a field of view (anisotropy),
+contact forces, and groups.
 """
 
 from dataclasses import dataclass

@@ -170,8 +170,9 @@ CROWDS = {"orca": orca_crowd, "sfm": sfm_crowd}
 
 def transition(world: World, action: np.ndarray) -> Transition:
     """The step in which the robot moves with `action`, (E, 2) or many at once, (E, A, 2), in m/s."""
-    own = (world.position[:, 0], world.goal[:, 0], world.radius[:, 0], world.v_pref[:, 0], world.steps)
-    robot, goal, radius, v_pref, steps = (part[_axes(action)] for part in own)
+    agents = (world.position, world.velocity, world.goal, world.radius, world.v_pref)
+    robot, velocity, goal, radius, v_pref = (part[:, 0][_axes(action)] for part in agents)
+    steps = world.steps[_axes(action)]
     separations, goal_distance = smallest_gaps(world, action), length(world.ahead(action) - goal)  # (E, A, K), (E, A)
     late, hit = steps >= world.simulation.longest - 1, separations.min(axis=-1, initial=np.inf) < 0
     outcome = np.where(late, TIMEOUT, np.where(hit, COLLISION, np.where(goal_distance < radius, SUCCESS, RUNNING)))
@@ -179,6 +180,7 @@ def transition(world: World, action: np.ndarray) -> Transition:
     return Transition(
         time=np.broadcast_to(steps * dt + dt, shape),
         time_step=np.broadcast_to(dt, shape),
+        velocity_before=np.broadcast_to(velocity, action.shape),
         velocity=action,
         preferred_velocity=np.broadcast_to(direction(goal - robot) * v_pref[..., None], action.shape),
         goal_distance_before=np.broadcast_to(length(robot - goal), shape),

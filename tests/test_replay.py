@@ -63,6 +63,7 @@ def record_of(position, *, outcome=SUCCESS, separations=None, square=False, goal
     transition = Transition(
         time=0.25 * np.arange(1, steps + 1),
         time_step=np.full(steps, 0.25),
+        velocity_before=velocity[:-1, 0],
         velocity=velocity[1:, 0],
         preferred_velocity=np.tile((0.0, 1.0), (steps, 1)),
         goal_distance_before=distance[:-1],

@@ -34,7 +34,7 @@ def one_transition(
 ) -> Transition:
     """A batch of one, with two elements of which the second is farther away."""
     gaps = [[gap, gap + 1.0]]
-    return Transition(*map(np.array, ([time], [dt], [v], [v_pref], [d_g + 0.1], [d_g], gaps, [outcome])))
+    return Transition(*map(np.array, ([time], [dt], [v], [v], [v_pref], [d_g + 0.1], [d_g], gaps, [outcome])))
 
 
 def crowd_reward(outcome: int, gap: float) -> float:
@@ -85,6 +85,7 @@ def random_transitions(seed: int, count: int = 200, elements: int = 4) -> Transi
     return Transition(
         time=0.25 * rng.integers(1, 98, count),
         time_step=np.full(count, 0.25),
+        velocity_before=rng.normal(size=(count, 2)),
         velocity=rng.normal(size=(count, 2)),
         preferred_velocity=rng.normal(size=(count, 2)),
         goal_distance_before=rng.uniform(0, 9, count),
@@ -256,6 +257,7 @@ def test_a_record_s_transitions_follow_from_its_trajectories():
             here, there = record.position[e, t], record.position[e, t + 1]
             step, goal = record.transition[e, t], record.scenes.goal[e, 0]
             np.testing.assert_allclose(step.velocity, (there[0] - here[0]) / 0.25, atol=1e-12)
+            np.testing.assert_array_equal(step.velocity_before, record.transition[e, t - 1].velocity if t else 0.0)
             assert step.goal_distance == pytest.approx(np.hypot(*(there[0] - goal)))
             way = goal - here[0]
             np.testing.assert_allclose(step.preferred_velocity, way / np.hypot(*way), atol=1e-12)
@@ -285,6 +287,7 @@ def test_a_setting_that_the_reward_does_not_read_is_refused():
     step = Transition(
         time=rng.uniform(1, 24, 400),
         time_step=np.full(400, 0.25),
+        velocity_before=rng.normal(size=(400, 2)),
         velocity=rng.normal(size=(400, 2)),
         preferred_velocity=rng.normal(size=(400, 2)),
         goal_distance_before=rng.uniform(0, 9, 400),

@@ -16,7 +16,7 @@ from sfmrl.rewards import Transition
 from sfmrl.runs.files import DamagedFile, read_checked, write_atomically
 from sfmrl.scenes import Scenes
 
-DERIVED = ("time_step", "goal_distance_before")  # fields of Transition that follow from the trajectories
+DERIVED = ("time_step", "goal_distance_before", "velocity_before")  # fields of Transition that follow from others
 STORED = [item.name for item in fields(Transition) if item.name not in DERIVED]
 
 
@@ -54,9 +54,12 @@ def load_demonstrations(path: Path, simulation: Simulation) -> Record:
             raise ValueError("they are not finite")
     except Exception as error:  # damaged bytes can raise anything in NumPy
         raise DamagedFile(f"{path} does not hold demonstrations ({error}); make them again with sfmrl il") from None
-    before = np.where(played, length(position[:, :-1, 0] - scenes.goal[:, None, 0]), np.nan)
-    time_step = np.where(played, simulation.time_step, np.nan)
-    transition = Transition(**stored, time_step=time_step, goal_distance_before=before)
+    transition = Transition(
+        **stored,
+        time_step=np.where(played, simulation.time_step, np.nan),
+        goal_distance_before=np.where(played, length(position[:, :-1, 0] - scenes.goal[:, None, 0]), np.nan),
+        velocity_before=np.where(played[..., None], velocity[:, :-1, 0], np.nan),
+    )
     unknown = np.full(played.shape, np.nan)  # rewards and returns
     return Record(scenes, simulation, steps, position, velocity, transition, unknown, unknown[:, 0], heading=heading)
 
