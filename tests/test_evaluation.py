@@ -41,7 +41,7 @@ def hand_made_record() -> Record:
     gaps[2, 0] = [-0.1, np.inf]
     hollow = np.where(played, 0.0, np.nan)
     still = np.zeros((4, 3, 2))
-    step = Transition(hollow, hollow, still, still, hollow, hollow, gaps, outcome)
+    step = Transition(hollow, hollow, still, still, still, hollow, hollow, gaps, outcome)
     scenes = Scenes(
         np.zeros((4, 3, 2)), np.ones((4, 3, 2)), environment=np.array(["1", "2", "2", "1"]), episode=[7, 8, 9, 10]
     )

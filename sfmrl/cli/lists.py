@@ -22,7 +22,7 @@ def models(
 ) -> None:
     """List the trained networks that come with sfmrl: the rows of the paper's tables, and a unicycle's."""
     from sfmrl.runs.weights import model_card, model_names
-    from sfmrl.study.sheets import card_lines, model_sheet
+    from sfmrl.study.sheets import Sheet, card_lines, model_sheet
 
     names = model_names()
     if name is not None and name not in names:
@@ -32,12 +32,13 @@ def models(
         say_json(cards[name] if name else cards)
         return
     try:
-        if name:
-            say_result("\n".join(card_lines(cards[name])))
-        else:
-            print_sheet(model_sheet(cards))
+        shown = card_lines(cards[name]) if name else model_sheet(cards)
     except (LookupError, TypeError, ValueError, AttributeError):
         raise DamagedFile("a model's card is not what sfmrl came with; install sfmrl again") from None
+    if isinstance(shown, Sheet):
+        print_sheet(shown)
+    else:
+        say_result("\n".join(shown))
 
 
 @command("sfmrl runs runs/tables")

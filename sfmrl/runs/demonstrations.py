@@ -16,7 +16,8 @@ from sfmrl.rewards import Transition
 from sfmrl.runs.files import DamagedFile, read_checked, write_atomically
 from sfmrl.scenes import Scenes
 
-DERIVED = ("time_step", "goal_distance_before", "velocity_before")  # fields of Transition that follow from others
+# Fields of Transition that follow from the rest of the file and the settings.
+DERIVED = ("time_step", "goal_distance_before", "velocity_before")
 STORED = [item.name for item in fields(Transition) if item.name not in DERIVED]
 
 
