@@ -65,7 +65,7 @@ def polygon_edges(polygons: np.ndarray, position: np.ndarray) -> Edges:
     episode, polygon, vertex = np.nonzero(present)
     size = present.sum(axis=2)[episode, polygon]
     before, start, end, after = (polygons[episode, polygon, (vertex + shift) % size].T for shift in (-1, 0, 1, 2))
-    first = polygons[episode, polygon, 0].T
+    first = polygons[episode, polygon, 0 * vertex].T  # no vertex 0 need exist: V may be 0
     _check_outlines(start, end, first, size, episode * polygons.shape[1] + polygon)
     previous, own, following = unit(start - before), unit(end - start), unit(after - end)
     convex = [(det(a, b) >= 0) | (size == 2) for a, b in ((start - before, end - start), (end - start, after - end))]
