@@ -286,7 +286,7 @@ def test_a_replay_shows_where_the_robot_points_and_explain_how_it_turns():
     explained = explain_episode(record, 0, load_policy("linear"), Config().reward, 0.9)
     assert [round(row["turn"]) for row in explained.steps[:3]] in ([45, 45, 0], [-45, -45, 0])
     table = explanation_parts(explained, explained.steps[:3], "own", 80)[1]
-    assert [column.header for column in table.columns][:3] == ["step", "time", "turn"]
+    assert [str(column.header) for column in table.columns][:3] == ["step", "time", "turn"]
     assert "45°" in next(iter(table.columns[2].cells))
     holonomic = explain_episode(play(scenes, "linear"), 0, load_policy("linear"), Config().reward, 0.9)
     assert "turn" not in holonomic.steps[0]
