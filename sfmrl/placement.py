@@ -197,8 +197,8 @@ def squares_of(start: np.ndarray, square: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 # The paper's environments have ten elements in rows 1 to 10, people before squares. Centres of squares, m, are relative
-# to their group's; the barrier is open towards the robot, which comes from below. Where
-# the paper's text is silent (shapes, distances, places), this is our reading: see tutorials/15-paper.md.
+# to their group's; the barrier is open towards the robot, which comes from below. Where the paper's text is silent
+# (shapes, distances, places), this is our reading: see tutorials/15-paper.md.
 BARRIER = np.array([[-0.6, 0.0], [0.0, 0.0], [0.6, 0.0], [-0.6, -0.6], [0.6, -0.6]])
 ROW3, ROW2 = BARRIER[:3], np.array([[-0.3, 0.0], [0.3, 0.0]])
 

@@ -35,8 +35,8 @@ def draw_moment(story: Story, t: int, view: View, people_trails: bool) -> Canvas
     share = np.arange(TRAIL_POINTS)[:, None, None] / TRAIL_POINTS
     trail = (1 - share) * position[:t, 0] + share * position[1 : t + 1, 0]  # (TRAIL_POINTS, t, 2)
     canvas.dots(trail[length(trail - position[t, 0]) > story.radius[0]], Style.ROBOT)
-    share_of = np.zeros(0) if story.attention is None else story.attention[t]
-    marked = {1 + share_of.argmax(): Style.MOST_ATTENTION} if share_of.any() else {}
+    attention = np.zeros(0) if story.attention is None else story.attention[t]
+    marked = {1 + attention.argmax(): Style.MOST_ATTENTION} if attention.any() else {}
     hit = story.hit if t == story.last else ()
     if len(hit):
         marked |= dict.fromkeys((0, *hit), Style.DANGER)
