@@ -69,6 +69,45 @@ def test_a_signal_during_the_imports_or_after_is_one_line_too(tmp_path, number, 
     assert process.wait(60) in CODES
 
 
+WHERE = {
+    "class": 'type("Made", (), {"field": Signals()})',
+    "weak reference": "made = Signals(); reference = weakref.ref(made, Signals.send); del made",  # swallows exceptions
+}
+
+
+@pytest.mark.parametrize(
+    ("where", "imported"),
+    [
+        *(("class", imported) for imported in ("sfmrl.cli", "rich.table", "sfmrl.evaluation", "sfmrl.fast.network")),
+        *(("weak reference", imported) for imported in ("sfmrl.cli", "rich.table")),
+    ],
+)
+def test_a_signal_is_one_line_where_an_import_wraps_or_swallows_exceptions_too(tmp_path, where, imported):
+    code = f"""
+import os, signal, sys, weakref
+
+class Signals:
+    def send(self, *_):
+        os.kill(os.getpid(), signal.SIGINT)
+
+    __set_name__ = send
+
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == {imported!r}:
+            {WHERE[where]}
+
+sys.meta_path.insert(0, Finder())
+sys.argv = ["sfmrl", "eval", "sarl", "--episodes", "1"]
+from sfmrl.__main__ import main
+main()
+"""
+    words = [sys.executable, "-c", code]
+    done = subprocess.run(words, cwd=tmp_path, env=environment(), capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("", "sfmrl: interrupted\n")
+    assert done.returncode in CODES
+
+
 def test_the_first_signal_is_a_request_and_the_second_acts_at_once():
     before = signal.getsignal(signal.SIGTERM)
     with StopSignal() as stop:
