@@ -4,14 +4,14 @@ from typing import Protocol
 
 import numpy as np
 
-from sfmrl.geometry import unit
+from sfmrl.geometry import unit_at
 from sfmrl.world import TURN_RATE, World
 
 
 def _actions(headings: np.ndarray) -> np.ndarray:
     """Shares of v_pref, (..., 81, 2): stop, then 5 speeds (e^(i/5) - 1) / (e - 1) along 16 `headings` (..., 16) rad."""
     speeds = (np.exp(np.arange(1, 6) / 5) - 1) / (np.e - 1)
-    moves = speeds[:, None] * unit(headings)[..., None, :]  # (..., 16, 5, 2)
+    moves = speeds[:, None] * unit_at(headings)[..., None, :]  # (..., 16, 5, 2)
     many = headings.shape[:-1]
     return np.concatenate((np.zeros((*many, 1, 2)), moves.reshape(*many, 80, 2)), axis=-2)
 

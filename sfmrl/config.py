@@ -14,9 +14,9 @@ from numbers import Integral, Real
 from typing import Any, cast
 
 ANY_REWARD = (-1e6, 1e6)
-EPISODES = 100_000  # the most at once: the record of all of them must fit into memory
-STEPS = 100_000  # the most of an episode
-SEED = 2**63 - 1  # the largest seed
+MOST_EPISODES = 100_000  # in one record, which must fit into memory
+MOST_STEPS = 100_000  # of an episode
+LARGEST_SEED = 2**63 - 1
 
 
 class ConfigError(ValueError):
@@ -108,10 +108,10 @@ class Simulation(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.longest > STEPS:
+        if self.longest > MOST_STEPS:
             raise ConfigError(
                 f"time-limit {self.time_limit:g} and time-step {self.time_step:g} make an episode of {self.longest} "
-                f"steps; it may have {STEPS}, so choose a longer time-step or a shorter time-limit"
+                f"steps; it may have {MOST_STEPS}, so choose a longer time-step or a shorter time-limit"
             )
 
     @property
@@ -152,7 +152,7 @@ class Planner(Settings):
 class Imitation(Settings):
     """Learning from ORCA's demonstrations; the paper's numbers."""
 
-    episodes: int = knob(3000, "demonstrations by ORCA", 1, EPISODES)
+    episodes: int = knob(3000, "demonstrations by ORCA", 1, MOST_EPISODES)
     epochs: int = knob(50, "passes over the demonstrations", 1, 10_000)
     batch_size: int = knob(100, "states in a batch", 1, 100_000)
     learning_rate: float = knob(0.01, "learning rate", 0, 1000)
@@ -183,15 +183,15 @@ class Reinforcement(Settings):
     environment: str = knob("table1", "environments to train in, and their shares")
     test_environment: str = knob("table1", "environments of validation and test; --environment alone sets both")
     validation_interval: int = knob(1000, "episodes between validations", 1, 10_000_000)
-    validation_episodes: int = knob(100, "episodes of a validation", 1, EPISODES)
-    test_episodes: int = knob(500, "episodes of the final test", 1, EPISODES)
+    validation_episodes: int = knob(100, "episodes of a validation", 1, MOST_EPISODES)
+    test_episodes: int = knob(500, "episodes of the final test", 1, MOST_EPISODES)
 
 
 @dataclass(frozen=True)
 class Config(Settings):
     """All settings that decide the numbers of a training."""
 
-    seed: int = knob(0, "seed of all random numbers", 0, SEED)
+    seed: int = knob(0, "seed of all random numbers", 0, LARGEST_SEED)
     preset: str = knob("quick", "schedule: minutes, or as published (hours)", choices=("quick", "paper"))
     forces: bool = knob(False, "social forces in the state: 17 columns instead of 13")
     discount: float = knob(0.9, "discount per second at 1 m/s (gamma; paper, CrowdNav)", 0, 1)

@@ -8,20 +8,20 @@ import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from sfmrl.actions import Notes, Policy, explained
 from sfmrl.batch import Batch
-from sfmrl.config import Config, ConfigError, Reward, Simulation, counted
+from sfmrl.config import MOST_EPISODES, Config, ConfigError, Reward, Simulation, counted, in_range
 from sfmrl.geometry import length
 from sfmrl.lookahead import step_discount
 from sfmrl.own_code import checked_action, kind, name_of, read_only
 from sfmrl.policies import config_of, find_policy
 from sfmrl.rewards import OUTCOMES, RUNNING, OwnReward, Terms, Transition, reward_terms, total
 from sfmrl.scenes import Scenes
-from sfmrl.states import elements_within, robot_states
+from sfmrl.states import states_of
 from sfmrl.world import World, advance, crowd_velocities, drive, reset, transition
 
 BATCH = 256  # episodes side by side, unless a policy has its own number
@@ -93,13 +93,10 @@ class Record(Batch):
 
     def states(self, config: Config) -> np.ndarray:
         """Robot-centred states (S, K, F) of the `worlds`, with a config's columns and reach."""
-        episode, step = np.nonzero(self.played)
-        position, velocity = self.position[episode, step], self.velocity[episode, step]
-        goal, radius, v_pref = (part[episode] for part in (self.scenes.goal, self.scenes.radius, self.scenes.v_pref))
-        robot = position[:, 0], velocity[:, 0], goal[:, 0], radius[:, 0], v_pref[:, 0]
-        elements = elements_within(config.reach, position), velocity[:, 1:], radius[:, 1:]
-        heading = None if self.heading is None else self.heading[episode, step]
-        return robot_states(*robot, *elements, heading=heading, forces=config.forces)
+        e, t = np.nonzero(self.played)
+        moving = self.position[e, t], self.velocity[e, t]
+        lasting = self.scenes.goal[e], self.scenes.radius[e], self.scenes.v_pref[e]
+        return states_of(*moving, *lasting, None if self.heading is None else self.heading[e, t], config)
 
 
 def play(
@@ -133,7 +130,8 @@ def play(
     chosen = find_policy(policy, reward)
     own = config_of(chosen).simulation
     given = {"robot_visible": robot_visible, "safety_space": safety_space, "crowd": crowd, "kinematics": kinematics}
-    simulation = replace(own, **cast(Any, {name: value for name, value in given.items() if value is not None}))
+    changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    simulation = replace(own, **changes)
     return play_episodes(scenes, chosen, reward, simulation, discount=Config(discount=discount).discount)  # in range
 
 
@@ -160,17 +158,17 @@ def play_episodes(
         raise MemoryError(f"{count} episodes of up to {simulation.longest} steps need {needed / 1e9:.1f} GB")
     if begin := getattr(policy, "begin", None):
         begin(scenes, simulation)
-    batch = getattr(policy, "batch", BATCH) if batch is None else batch
+    batch = int(in_range("batch", getattr(policy, "batch", BATCH) if batch is None else batch, 1, MOST_EPISODES))
     moments, heading, parts, notes = _recorded(reset(scenes, simulation), policy, terms, batch, keep, progress)
     steps = 1 + (parts["outcome"] != RUNNING).argmax(1)
     most = int(steps.max(initial=0))
     played = Transition(**parts)[:, :most]
     rewards = rewards_of(played, steps, terms)
-    returns = returns_of(rewards, step_discount(discount, scenes.v_pref[:, 0], simulation))[:, :1].sum(1)
+    first = returns_of(rewards, step_discount(discount, scenes.v_pref[:, 0], simulation))[:, :1]  # none of no scenes
     notes = {name: array[:, :most] for name, array in notes.items()}
     position, velocity = moments[:, :, : most + 1]
     heading = None if heading is None else heading[:, : most + 1]
-    return Record(scenes, simulation, steps, position, velocity, played, rewards, returns, notes, heading)
+    return Record(scenes, simulation, steps, position, velocity, played, rewards, first.sum(1), notes, heading)
 
 
 def _recorded(
@@ -230,6 +228,7 @@ def _choice(policy: Policy, world: World, moves: np.ndarray, keep: bool) -> tupl
 def _write(arrays: dict[str, np.ndarray], world: World, parts: dict[str, np.ndarray], count: int) -> None:
     """Write a step's `parts` (e, ...) into `arrays` (E, T, ...), by name; make arrays of NaN or 0 that are missing."""
     for name, part in parts.items():
+        part = np.asarray(part)
         if name not in arrays:
             empty = np.nan if part.dtype.kind == "f" else 0  # 0 is RUNNING, too
             arrays[name] = np.full((count, world.simulation.longest, *part.shape[1:]), empty, part.dtype)
@@ -239,8 +238,10 @@ def _write(arrays: dict[str, np.ndarray], world: World, parts: dict[str, np.ndar
 def _refill(start: World, world: World, going: np.ndarray, fresh: np.ndarray) -> World:
     """The world of the episodes that are `going` on (a mask), and of `fresh` ones (indices) at their start."""
     changing = ("position", "velocity", "steps", *(() if world.heading is None else ("heading",)))
-    joined = {name: np.concatenate((getattr(world, name)[going], getattr(start, name)[fresh])) for name in changing}
-    return replace(start.take(np.concatenate((world.episode[going], fresh))), **cast(dict[str, Any], joined))
+    joined: dict[str, Any] = {
+        name: np.concatenate((getattr(world, name)[going], getattr(start, name)[fresh])) for name in changing
+    }
+    return replace(start.take(np.concatenate((world.episode[going], fresh))), **joined)
 
 
 def memory_size() -> float:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sfmrl.actions import Policy
-from sfmrl.config import EPISODES, Config, Reward, Simulation, in_range
+from sfmrl.config import MOST_EPISODES, Config, Reward, Simulation, in_range
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.policies import config_of, find_policy
 from sfmrl.rewards import OwnReward
@@ -53,7 +53,7 @@ def evaluation_record(
     the number of episodes that have just ended. Raises ConfigError on unknown names, on less than one episode and on a
     discount out of range.
     """
-    in_range("episodes", episodes, 1, EPISODES)
+    in_range("episodes", episodes, 1, MOST_EPISODES)
     chosen = find_policy(policy, reward)
     own = config_of(chosen)
     settings = own.reward if reward is None else reward

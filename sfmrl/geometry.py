@@ -51,7 +51,7 @@ def limit(vector: np.ndarray, longest: np.ndarray | float) -> np.ndarray:
     return vector * np.where(longer, longest / np.where(longer, norm, 1.0), 1.0)[..., None]
 
 
-def unit(angle: np.ndarray) -> np.ndarray:
+def unit_at(angle: np.ndarray) -> np.ndarray:
     """Unit vector (..., 2) at an angle in rad (...)."""
     return np.stack((np.cos(angle), np.sin(angle)), axis=-1)
 

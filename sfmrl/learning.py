@@ -14,7 +14,7 @@ from sfmrl.config import Config, ConfigError, Imitation, Reinforcement
 from sfmrl.fast import FastNetwork
 from sfmrl.fast.optimizers import OPTIMIZERS, SGD, flush_negligible
 from sfmrl.scenes import generator
-from sfmrl.states import OWN, column_names, mirrored_columns
+from sfmrl.states import column_names, mirrored_columns, own_columns
 
 
 class Memory:
@@ -27,7 +27,7 @@ class Memory:
         self.mirror = mirrored_columns(forces) if mirror else None
         self.states = np.empty((capacity, elements, len(column_names(forces))), dtype=np.float32)
         self.values = np.empty(capacity, dtype=np.float32)
-        self.own = len(OWN) + 2 * forces  # the columns from here on are an element's, and NaN where it is absent
+        self.own = own_columns(forces)  # the columns from here on are an element's, and NaN where it is absent
         self.size = self.next = 0
 
     def __len__(self) -> int:

@@ -4,7 +4,6 @@ The people's next states come from the simulator, as in CrowdNav. They do not de
 of the crowd serves all 81.
 """
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -14,7 +13,7 @@ from sfmrl.actions import Notes, robot_actions
 from sfmrl.config import Config, ConfigError, Simulation
 from sfmrl.fast import as_fast
 from sfmrl.rewards import COLLISION, reward_terms, total
-from sfmrl.states import OWN, elements_within, is_alone, robot_states
+from sfmrl.states import OWN, elements_within, robot_states, states_of
 from sfmrl.traps import best_untrapped
 from sfmrl.world import TURN_RATE, World, transition, turned
 
@@ -90,20 +89,21 @@ class SarlPolicy:
     def _values(self, world: World, crowd_velocity: np.ndarray, action: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The values and outcomes (e, A) of actions (e, A, 2) in a block of e episodes."""
         step = transition(world, action)  # (e, A)
-        robot = world.ahead(action), action, world.goal[:, :1], world.radius[:, :1], world.v_pref[:, :1]
+        robot = world.position_after(action), action, world.goal[:, :1], world.radius[:, :1], world.v_pref[:, :1]
         places = elements_within(self.config.reach, world.position) + crowd_velocity[:, 1:] * world.simulation.time_step
         elements = places[:, None], crowd_velocity[:, None, 1:], world.radius[:, None, 1:]
         heading = turned(world, action)
         states = robot_states(*robot, *elements, heading=heading, forces=self.config.forces)  # (e, A, K, F)
-        ahead = self.network.evaluate(states)[0]
+        next_value = self.network.evaluate(states)[0]
         if self.config.careful:
             way = step.goal_distance
             if heading is not None:  # a turn costs as much as the way that is lost meanwhile
                 way = way + world.v_pref[:, :1] * np.abs(states[..., 0, OWN.index("theta")]) / TURN_RATE
-            ahead = np.where(is_alone(states), value_alone(self.config, way, world.radius[:, :1]), ahead)
-            ahead = np.where(step.outcome == COLLISION, 0.0, ahead)
+            alone = np.isnan(places[..., 0]).all(1, keepdims=True)  # (e, 1): nobody and nothing within reach
+            next_value = np.where(alone, value_alone(self.config, way, world.radius[:, :1]), next_value)
+            next_value = np.where(step.outcome == COLLISION, 0.0, next_value)
         discount = step_discount(self.config.discount, world.v_pref[:, :1], world.simulation)
-        return total(self._terms(step)) + discount * ahead, step.outcome
+        return total(self._terms(step)) + discount * next_value, step.outcome
 
 
 def value_alone(config: Config, goal_distance: np.ndarray, radius: np.ndarray) -> np.ndarray:
@@ -116,16 +116,9 @@ def value_alone(config: Config, goal_distance: np.ndarray, radius: np.ndarray) -
 
 def world_states(world: World, config: Config) -> np.ndarray:
     """Robot-centred states of a world, (E, K, F), with a config's columns and reach."""
-    robot = world.position[:, 0], world.velocity[:, 0], world.goal[:, 0], world.radius[:, 0], world.v_pref[:, 0]
-    elements = elements_within(config.reach, world.position), world.velocity[:, 1:], world.radius[:, 1:]
-    return robot_states(*robot, *elements, heading=world.heading, forces=config.forces)
+    return states_of(world.position, world.velocity, world.goal, world.radius, world.v_pref, world.heading, config)
 
 
 def step_discount(discount: float, v_pref: np.ndarray, simulation: Simulation) -> np.ndarray:
     """CrowdNav's discount for one step, gamma^(dt v_pref), in the shape of the robot's `v_pref` (m/s)."""
     return discount ** (simulation.time_step * v_pref)
-
-
-def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -5,6 +5,8 @@ names, so that its SARL checkpoints load. This is the definition; `sfmrl.fast` c
 and learning. Left out: the local map.
 """
 
+from itertools import pairwise
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -12,7 +14,7 @@ from torch import Tensor, nn
 from sfmrl.fast import as_fast
 from sfmrl.fast.layers import Sizes, drawn_parameters
 from sfmrl.fast.network import AT_GOAL, PER_METRE, PRIOR
-from sfmrl.states import OWN, column_names
+from sfmrl.states import column_names, own_columns
 
 
 class ValueNetwork(nn.Module):
@@ -26,7 +28,7 @@ class ValueNetwork(nn.Module):
     def __init__(self, forces: bool = False, value_prior: bool = False, seed: int = 0, sizes: Sizes = Sizes()) -> None:
         super().__init__()
         self.forces, self.value_prior = forces, value_prior
-        self.own = len(OWN) + 2 * forces  # how many of the columns are the robot's own
+        self.own = own_columns(forces)
         hidden, crowd = sizes.mlp1[-1], sizes.mlp2[-1]
         self.mlp1 = _mlp(len(column_names(forces)), *sizes.mlp1).append(nn.ReLU())
         self.mlp2 = _mlp(hidden, *sizes.mlp2)
@@ -57,7 +59,7 @@ class ValueNetwork(nn.Module):
 def _mlp(width: int, *sizes: int) -> nn.Sequential:
     """Linear layers with ReLUs in between."""
     layers: list[nn.Module] = []
-    for inputs, outputs in zip((width, *sizes), sizes, strict=False):
+    for inputs, outputs in pairwise((width, *sizes)):
         layers += [nn.Linear(inputs, outputs), nn.ReLU()]
     return nn.Sequential(*layers[:-1])
 

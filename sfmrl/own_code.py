@@ -11,6 +11,7 @@ import shlex
 import traceback
 from collections.abc import Callable
 from dataclasses import is_dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,12 +40,10 @@ def read_only(thing: Any) -> Any:
         thing = np.array(thing)  # not a view, which its owner could make writeable again
         thing.flags.writeable = False
         return thing
-    parts = {name: part for name, part in vars(thing).items() if isinstance(part, np.ndarray) or _is_batch(part)}
-    return replace(thing, **{name: read_only(part) for name, part in parts.items()})
-
-
-def _is_batch(part: Any) -> bool:
-    return is_dataclass(part) and hasattr(part, "take")
+    parts = vars(thing).items()
+    arrays = {name: part for name, part in parts if isinstance(part, np.ndarray)}
+    batches = {name: part for name, part in parts if is_dataclass(part) and hasattr(part, "take")}
+    return replace(thing, **{name: read_only(part) for name, part in (arrays | batches).items()})
 
 
 def guarded(who: str, what: str, file: str, call: Callable[[], Any]) -> Any:
@@ -116,12 +115,16 @@ class OwnPolicy:
         return f"OwnPolicy({self.__name__})"
 
     def __call__(self, world: Any, crowd_velocity: np.ndarray) -> Any:
-        return guarded(f"policy {self.__name__}", "failed", self._file, lambda: self.own(world, crowd_velocity))
+        return self._run(self.own, world, crowd_velocity)
 
     def __getattr__(self, name: str) -> Any:
         if name == "own":  # copy.copy() asks before __init__ has run
             raise AttributeError(name)
-        return getattr(self.own, name)
+        part = getattr(self.own, name)
+        return partial(self._run, part) if name in ("begin", "explain") else part
+
+    def _run(self, function: Callable, *arguments: Any) -> Any:
+        return guarded(f"policy {self.__name__}", "failed", self._file, lambda: function(*arguments))
 
 
 def names_code(name: str) -> bool:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sfmrl.config import ConfigError
-from sfmrl.geometry import unit
+from sfmrl.geometry import unit_at
 
 RADIUS, SIDE = 0.3, 0.6  # m: of every agent, of every square
 V_PREF = 1.0  # m/s, of every agent
@@ -92,7 +92,7 @@ class Builder:
         def propose(draws: np.ndarray, episodes: np.ndarray) -> np.ndarray:  # (n, T, 3) -> start and goal (n, T, 2, 2)
             angle = 2 * np.pi * draws[..., 0]
             circle, noise = self.circle * self.growth[episodes], NOISE * self.v_pref[episodes, row]
-            start = circle[:, None, None] * unit(angle)
+            start = circle[:, None, None] * unit_at(angle)
             start += noise[:, None, None] * (2 * draws[..., 1:] - 1)
             return np.stack((start, -start), axis=2)
 
@@ -129,7 +129,7 @@ class Builder:
 
         def propose(draws: np.ndarray, _: np.ndarray) -> np.ndarray:  # uniform in the disc: (n, T, 2) -> (n, T, 1, 2)
             angle, reach = 2 * np.pi * draws[..., 0], SQUARE_REACH * np.sqrt(draws[..., 1])
-            return (reach[..., None] * unit(angle))[:, :, None, :]
+            return (reach[..., None] * unit_at(angle))[:, :, None, :]
 
         fits = partial(self._clear, row=row, gap=SQUARE_GAP)
         self.put(which, row, self._first(which, 2, propose, fits, f"square {row} {REMEDY}"))

@@ -1,5 +1,6 @@
 """Policies by name: straight to the goal, ORCA, the Social Force Model, or a trained SARL network."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 from sfmrl.actions import Policy
 from sfmrl.config import Config, ConfigError
 from sfmrl.geometry import direction
-from sfmrl.lookahead import SarlPolicy, available_cores
+from sfmrl.lookahead import SarlPolicy
 from sfmrl.own_code import OwnPolicy, kind, names_code, trusted
 from sfmrl.world import World, orca_crowd, sfm_crowd
 
@@ -69,3 +70,8 @@ def load_policy(name_or_path: str | Path, threads: int | None = None, *, trust_r
     network, config = load_weights(find_weights(name_or_path))
     config = trusted(config, trust_reward)
     return with_recovery(SarlPolicy(network, config, threads or available_cores()), config.planner)
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -18,6 +18,7 @@ from sfmrl.own_code import checked_array, guarded, kind, load, name_of, read_onl
 
 RUNNING, SUCCESS, COLLISION, TIMEOUT = range(4)
 OUTCOMES = np.array(["running", "success", "collision", "timeout"])
+PAID_STEP = 0.25  # s, the step for which the terms on the way are defined
 
 
 @dataclass(frozen=True)
@@ -63,11 +64,11 @@ OwnReward = Callable[[Transition, Reward], np.ndarray]
 def crowd_terms(transition: Transition, p: Reward) -> Terms:
     """CrowdNav's reward, the paper's equation 6, with the numbers in `p`: terms by name, each (...).
 
-    The slope of the discomfort is for a step of 0.25 s.
+    The discomfort is for a step of 0.25 s; other steps pay in proportion.
     """
-    end, close = _cases(transition, p)
+    end, close = transition.outcome, too_close(transition, p)
     gap = np.minimum(transition.separation, p.discomfort_distance)  # a slope of 0 times +inf would be NaN
-    discomfort = p.discomfort_slope * (gap - p.discomfort_distance) * (transition.time_step / 0.25)
+    discomfort = p.discomfort_slope * (gap - p.discomfort_distance) * (transition.time_step / PAID_STEP)
     return {
         "collision": np.where(end == COLLISION, p.collision, 0.0),
         "goal": np.where(end == SUCCESS, p.success, 0.0),
@@ -79,18 +80,19 @@ def sfm_terms(transition: Transition, p: Reward) -> Terms:
     """The paper's Social Force Model reward, its equation 7: terms by name, each (...).
 
     In the paper's symbols, v is the robot's velocity during the step, v_pref its preferred velocity at the step's
-    start, and d_g the distance to the goal at the step's end. What it pays on the way is for a step of 0.25 s.
+    start, and d_g the distance to the goal at the step's end. The terms on the way are for a step of 0.25 s; others pay
+    in proportion.
     """
-    end, close = _cases(transition, p)
-    free, long = (end == RUNNING) & ~close, transition.time_step / 0.25
+    end, close = transition.outcome, too_close(transition, p)
+    free, scale = (end == RUNNING) & ~close, transition.time_step / PAID_STEP
     gap = np.clip(transition.separation, 0.0, p.discomfort_distance)  # exp must not overflow where it does not count
     deviation = length(p.k * (transition.velocity - transition.preferred_velocity))
     return {
         "collision": np.where(end == COLLISION, p.collision, 0.0),
         "goal": np.where(end == SUCCESS, p.success, 0.0),
-        "discomfort": np.where(close, p.discomfort_amplitude * np.exp(-p.discomfort_decay * gap) * long, 0.0),
-        "velocity": np.where(free, (p.k - deviation / 2) * long, 0.0),
-        "distance": np.where(free, -p.distance_weight * transition.goal_distance * long, 0.0),
+        "discomfort": np.where(close, p.discomfort_amplitude * np.exp(-p.discomfort_decay * gap) * scale, 0.0),
+        "velocity": np.where(free, (p.k - deviation / 2) * scale, 0.0),
+        "distance": np.where(free, -p.distance_weight * transition.goal_distance * scale, 0.0),
     }
 
 
@@ -101,10 +103,9 @@ def sfm_discount_terms(transition: Transition, p: Reward) -> Terms:
     return sfm_terms(transition, p) | {"discount": np.where(arrived, -p.discount_rate * late, 0.0)}
 
 
-def _cases(transition: Transition, p: Reward) -> tuple[np.ndarray, np.ndarray]:
-    """The outcomes (...), and which steps do not end the episode but come too close to an element (...)."""
-    end = np.asarray(transition.outcome)
-    return end, (end == RUNNING) & (transition.separation < p.discomfort_distance)
+def too_close(transition: Transition, p: Reward) -> np.ndarray:
+    """Which steps (...) come closer to an element than the discomfort distance and do not end the episode."""
+    return (transition.outcome == RUNNING) & (transition.separation < p.discomfort_distance)
 
 
 REWARDS = {"crowd": crowd_terms, "sfm": sfm_terms, "sfm-discount": sfm_discount_terms}

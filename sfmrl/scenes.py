@@ -156,8 +156,9 @@ def sample_scenes(
         raise ConfigError("a speed of all humans and random attributes exclude each other; leave out one of them")
 
     rngs = [generator(seed, phase, number) for number in numbers]
-    builder = Builder(rngs, numbers, 1 + elements_of(environment), circle, random_attributes)
-    builder.mix([environment_of(name) for name in shares], list(shares.values()))
+    environments = [environment_of(name) for name in shares]
+    builder = Builder(rngs, numbers, 1 + max(e.elements for e in environments), circle, random_attributes)
+    builder.mix(environments, list(shares.values()))
     if people is not None:
         builder = builder.with_people(people)
     if people_speed is not None:
@@ -169,7 +170,7 @@ def sample_scenes(
 
 def _numbers(episodes: int | Sequence[int]) -> np.ndarray:
     """The numbers (E,) of episodes that are given by their count or their numbers; raises ConfigError."""
-    numbers = np.asarray(episodes)
+    numbers = np.asarray(episodes if np.size(episodes) else 0)
     if not np.issubdtype(numbers.dtype, np.integer) or numbers.ndim > 1 or (numbers < 0).any():
         raise ConfigError(f"episodes is {episodes!r}; it takes how many, or their numbers, counted from 0")
     return np.arange(numbers.item()) if numbers.ndim == 0 else numbers

@@ -7,8 +7,9 @@ of a unicycle robot, in rad from the x axis, wrapped to -pi to pi; CrowdNav does
 
 import numpy as np
 
+from sfmrl.config import Config
 from sfmrl.geometry import direction, length, numbers, vectors, wrapped
-from sfmrl.sfm import SocialForce, repulsive_forces, resultant
+from sfmrl.sfm import repulsive_forces, resultant
 
 OWN = ("goal_distance", "v_pref", "theta", "radius", "velocity_x", "velocity_y")
 ELEMENT = (
@@ -24,6 +25,11 @@ def column_names(forces: bool) -> tuple[str, ...]:
     return COLUMNS_WITH_FORCES if forces else COLUMNS
 
 
+def own_columns(forces: bool) -> int:
+    """How many of the columns, the first ones, are the robot's own: 6 or, with forces, 8."""
+    return column_names(forces).index("element_x")
+
+
 def robot_states(
     position: np.ndarray,
     velocity: np.ndarray,
@@ -36,7 +42,6 @@ def robot_states(
     *,
     heading: np.ndarray | None = None,
     forces: bool = False,
-    force: SocialForce = SocialForce(),
 ) -> np.ndarray:
     """Robot-centred states (..., K, F) as float32, F = 13 or 17; the leading axes (...) of all inputs broadcast.
 
@@ -61,8 +66,8 @@ def robot_states(
     own = [goal_distance, v_pref, theta, radius, *turned(velocity[..., :1], velocity[..., 1:])]  # the columns in OWN
     element = [*turned(dx, dy), *turned(element_velocity[..., 0], element_velocity[..., 1])]  # those in ELEMENT
     element += [element_radius, np.sqrt(dx * dx + dy * dy), radius + element_radius]
-    if forces:  # in the frame of the offsets, which is the robot's
-        push = repulsive_forces(np.stack((-element[0], -element[1]), axis=-1), force)
+    if forces:  # in the robot's frame
+        push = repulsive_forces(np.stack((-element[0], -element[1]), axis=-1))
         pushed = resultant(push)
         own += [pushed[..., :1], pushed[..., 1:]]
         element += [push[..., 0], push[..., 1]]
@@ -75,7 +80,8 @@ def _elements(
     """The elements' arrays, checked; one absent element if there are none. Raises ValueError for other shapes."""
     position, velocity = vectors("element_position", position), vectors("element_velocity", velocity)
     radius = numbers("element_radius", radius)
-    if not position.shape[-2:-1] == velocity.shape[-2:-1] == radius.shape[-1:] != ():
+    counts = {position.shape[-2:-1], velocity.shape[-2:-1], radius.shape[-1:]}  # (K,) of each
+    if len(counts) > 1 or () in counts:
         raise ValueError(
             "element_position, element_velocity and element_radius must have shapes (..., K, 2), (..., K, 2) and "
             f"(..., K) with the same K, not {position.shape}, {velocity.shape} and {radius.shape}"
@@ -95,6 +101,21 @@ def _joined(columns: list[np.ndarray | float]) -> np.ndarray:
     return np.ascontiguousarray(np.moveaxis(states, 0, -1))
 
 
+def states_of(
+    position: np.ndarray,
+    velocity: np.ndarray,
+    goal: np.ndarray,
+    radius: np.ndarray,
+    v_pref: np.ndarray,
+    heading: np.ndarray | None,
+    config: Config,
+) -> np.ndarray:
+    """`robot_states` (E, K, F) of agents (E, N, ...), row 0 the robot, with a config's columns and reach."""
+    robot = position[:, 0], velocity[:, 0], goal[:, 0], radius[:, 0], v_pref[:, 0]
+    elements = elements_within(config.reach, position), velocity[:, 1:], radius[:, 1:]
+    return robot_states(*robot, *elements, heading=heading, forces=config.forces)
+
+
 def elements_within(reach: float, position: np.ndarray) -> np.ndarray:
     """Positions of the elements (..., K, 2), NaN if more than `reach` m from the robot, row 0 of `position`."""
     elements = position[..., 1:, :]
@@ -107,9 +128,3 @@ def elements_within(reach: float, position: np.ndarray) -> np.ndarray:
 def mirrored_columns(forces: bool) -> np.ndarray:
     """The factors (F,) that mirror a state's columns left to right: -1 for those along y and theta, else 1."""
     return np.where([name.endswith(("_y", "theta")) for name in column_names(forces)], -1, 1).astype(np.float32)
-
-
-def is_alone(states: np.ndarray) -> np.ndarray:
-    """Whether states (..., K, F) have no element, (...) bool."""
-    own = len(OWN) + 2 * (states.shape[-1] == len(COLUMNS_WITH_FORCES))
-    return np.isnan(states[..., own]).all(-1)

@@ -20,7 +20,7 @@ import numpy as np
 
 from sfmrl.geometry import length
 from sfmrl.rewards import COLLISION, RUNNING
-from sfmrl.world import World, advance, crowd_velocities, onward, transition
+from sfmrl.world import World, advance, crowd_velocities, transition, turned_actions
 
 # Of the 81 actions (`actions.ACTIONS`: stop, then speeds 0 to 4 for each heading), those that are tried in sequences:
 # stop, and all headings at 0.48 of full speed and at full speed.
@@ -53,7 +53,7 @@ def best_untrapped(
             choice = candidates[undecided].argmax(1)
             before = world.take(undecided)
             after = advance(before, crowd_velocity[undecided], actions[undecided, choice])
-            later = onward(following[undecided], before, after)
+            later = turned_actions(following[undecided], before, after)
             bad = (outcome[undecided, choice] == RUNNING) & trapped(after, later, depth)
             best[undecided[~bad]] = choice[~bad]
             has_way_out[undecided[~bad]] = True
@@ -86,7 +86,7 @@ def trapped(world: World, actions: np.ndarray, steps: int = 1) -> np.ndarray:
     row, action = np.nonzero(~collides[doubtful])  # every possible first action, in all doubtful episodes
     before = before.take(row)
     after = advance(before, moves[row], actions[doubtful[row], action])
-    goes_on = ~trapped(after, onward(actions[doubtful[row]], before, after), steps - 1)
+    goes_on = ~trapped(after, turned_actions(actions[doubtful[row]], before, after), steps - 1)
     lost[doubtful] = True
     lost[doubtful[row[goes_on]]] = False
     return lost

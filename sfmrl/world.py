@@ -14,7 +14,7 @@ import numpy as np
 
 from sfmrl.batch import Batch
 from sfmrl.config import Simulation
-from sfmrl.geometry import closest_approach, direction, length, limit, square_gap, unit, wrapped
+from sfmrl.geometry import closest_approach, direction, length, limit, square_gap, unit_at, wrapped
 from sfmrl.orca import Edges, orca_velocities, polygon_edges
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenes import Scenes
@@ -79,7 +79,7 @@ class World(Batch):
         """Towards each agent's goal at its preferred speed; as in CrowdNav slower on the last metre, (E, N, 2) m/s."""
         return limit(self.goal - self.position, self.preferred_speed)
 
-    def ahead(self, action: np.ndarray) -> np.ndarray:
+    def position_after(self, action: np.ndarray) -> np.ndarray:
         """The robot's position in m after a step with `action`, (E, 2) or (E, A, 2) in m/s."""
         return self.position[:, 0][_axes(action)] + action * self.simulation.time_step
 
@@ -173,7 +173,8 @@ def transition(world: World, action: np.ndarray) -> Transition:
     agents = (world.position, world.velocity, world.goal, world.radius, world.v_pref)
     robot, velocity, goal, radius, v_pref = (part[:, 0][_axes(action)] for part in agents)
     steps = world.steps[_axes(action)]
-    separations, goal_distance = smallest_gaps(world, action), length(world.ahead(action) - goal)  # (E, A, K), (E, A)
+    separations = smallest_gaps(world, action)  # (E, A, K)
+    goal_distance = length(world.position_after(action) - goal)  # (E, A)
     late, hit = steps >= world.simulation.longest - 1, separations.min(axis=-1, initial=np.inf) < 0
     outcome = np.where(late, TIMEOUT, np.where(hit, COLLISION, np.where(goal_distance < radius, SUCCESS, RUNNING)))
     dt, shape = world.simulation.time_step, outcome.shape
@@ -225,17 +226,17 @@ def drive(world: World, wanted: np.ndarray) -> np.ndarray:
     """
     if (heading := turned(world, wanted)) is None:
         return wanted
-    ahead = unit(heading)
+    ahead = unit_at(heading)
     speed = wanted[..., 0] * ahead[..., 0] + wanted[..., 1] * ahead[..., 1]
     return np.maximum(speed, 0.0)[..., None] * ahead
 
 
-def onward(actions: np.ndarray, before: World, after: World) -> np.ndarray:
-    """The robot's actions (E, A, 2) in m/s `before` a turn, as it has them `after`: a unicycle's turn with it."""
+def turned_actions(actions: np.ndarray, before: World, after: World) -> np.ndarray:
+    """A unicycle's actions (E, A, 2) in m/s, rotated by its turn from `before` to `after`; unchanged if holonomic."""
     if after.heading is None:
         return actions
     x, y = np.moveaxis(actions, -1, 0)
-    cos, sin = unit(after.heading - before.heading).T[..., None]
+    cos, sin = unit_at(after.heading - before.heading).T[..., None]
     return np.stack((x * cos - y * sin, x * sin + y * cos), axis=-1)
 
 

@@ -19,7 +19,7 @@ from rich.console import Console
 from sfmrl.config import json_object
 from sfmrl.episodes import play
 from sfmrl.geometry import length
-from sfmrl.lookahead import available_cores
+from sfmrl.policies import available_cores
 from sfmrl.runs.files import csv_text, read_listed
 from sfmrl.runs.folders import finished
 from sfmrl.runs.progress import Interrupted, StopSignal, show_progress

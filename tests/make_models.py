@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from sfmrl.evaluation import evaluation_record, metrics
-from sfmrl.lookahead import available_cores
+from sfmrl.policies import available_cores
 from sfmrl.recovery import with_recovery
 from sfmrl.recovery.remembering import RememberingPolicy
 from sfmrl.runs.bits import machine_bits

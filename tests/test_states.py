@@ -12,7 +12,6 @@ from sfmrl.states import (
     COLUMNS_WITH_FORCES,
     column_names,
     elements_within,
-    is_alone,
     robot_states,
 )
 
@@ -180,5 +179,3 @@ def test_elements_out_of_reach_are_as_if_they_were_not_there():
         [[1, 0]], [[0, 0]], [[1, 4]], [0.3], [1.0], expected, np.zeros((1, 3, 2)), np.full((1, 3), 0.3)
     )
     np.testing.assert_array_equal(np.isnan(states[..., 6]), [[False, True, True]])
-    np.testing.assert_array_equal(is_alone(states), [False])
-    np.testing.assert_array_equal(is_alone(states[:, 1:]), [True])

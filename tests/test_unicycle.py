@@ -111,7 +111,7 @@ def test_all_81_actions_have_crowdnav_s_values(crowdnav):
     heading = worlds.heading[:, None] + turn
     driven_to = speed[..., None] * np.stack((np.cos(heading), np.sin(heading)), -1)
     np.testing.assert_allclose(look.actions, driven_to, rtol=0, atol=1e-9)
-    way = worlds.goal[:, :1] - worlds.ahead(driven_to)
+    way = worlds.goal[:, :1] - worlds.position_after(driven_to)
     same = np.abs(heading - np.arctan2(way[..., 1], way[..., 0])) < np.pi
     assert same.mean() > 0.98
     np.testing.assert_allclose(look.values[same], crowdnav["values"][record.played][same], rtol=0, atol=1e-5)

@@ -18,7 +18,7 @@ from sfmrl.evaluation import evaluation_record, metrics
 from sfmrl.fast import Sizes, as_fast
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import load_policy
-from sfmrl.runs.crowdnav import export_weights, other_habits
+from sfmrl.runs.crowdnav import differing_settings, export_weights
 from sfmrl.runs.files import DamagedFile
 from sfmrl.runs.weights import load_weights, save_weights
 from sfmrl.variants import make_config
@@ -110,17 +110,17 @@ def test_crowdnav_s_output_folder_plays_its_network_and_says_what_it_was_trained
     torch.save(PLAIN, tmp_path / "rl_model.pth")
     path = tmp_path / "rl_model.pth"
     assert load_policy(tmp_path).network.sizes == OTHER_SIZES
-    assert other_habits(path, robot_visible=True) == []
+    assert differing_settings(path, robot_visible=True) == []
     (tmp_path / "policy.config").write_text("[action_space]\nkinematics = unicycle\n")
     (tmp_path / "env.config").write_text("[robot]\nvisible = false\n")
-    moves, seen = other_habits(path, robot_visible=True)
+    moves, seen = differing_settings(path, robot_visible=True)
     assert "unicycle" in moves
     assert "--no-robot-visible" in seen
-    assert other_habits(path, robot_visible=False) == [moves]
-    assert other_habits(path, robot_visible=False, kinematics="unicycle") == []
+    assert differing_settings(path, robot_visible=False) == [moves]
+    assert differing_settings(path, robot_visible=False, kinematics="unicycle") == []
     (tmp_path / "policy.config").write_bytes(b"\xff[")
     (tmp_path / "env.config").write_text("no section")
-    assert other_habits(path, robot_visible=True) == []
+    assert differing_settings(path, robot_visible=True) == []
 
 
 LAYERS = ValueNetwork().state_dict()

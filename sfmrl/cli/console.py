@@ -19,7 +19,7 @@ from sfmrl.runs.files import csv_text, regular, write_text
 WIDTH = 80  # columns of a table, at least
 WIDEST = 10_000  # and at most
 CUT = "…"  # what Rich puts at the end of a cell that has no room
-MANY = 7  # rows of metrics; more have a line each
+ROWS_WITH_INTERVALS = 7  # of metrics; more rows have a line each
 
 
 class _Console(Console):
@@ -60,7 +60,7 @@ def print_metrics(result: dict[str, Any], title: str) -> None:
     if "recovered" in result:
         title += f", with recovery (stuck in {result['recovered']:.3f} of the episodes)"
     rows = {"all": result, **{f"env. {name}": row for name, row in result.get("environments", {}).items()}}
-    table = _table_of_many(rows, title) if len(rows) > MANY else _metrics_table(rows, title)
+    table = _table_of_many(rows, title) if len(rows) > ROWS_WITH_INTERVALS else _metrics_table(rows, title)
     print_table(table)
 
 
@@ -119,7 +119,7 @@ def print_sheet(sheet: Any) -> None:
     out.print()
 
 
-def new_files(overwrite: bool, **paths: Path | None) -> None:
+def check_new_files(overwrite: bool, **paths: Path | None) -> None:
     """Check the files that options name; None is an option that is not given.
 
     Raises ConfigError or DamagedFile if one cannot be written, exists and `overwrite` is False, or is named twice.

@@ -92,7 +92,7 @@ MAP = option(
     None, "text file that draws the scene: # squares, R robot, G its goal, 1-9 people, a-i their goals", "--map"
 )
 EPISODE = number_option(0, "number of the test episode (default 0)", 0, 2**31 - 1)
-EPISODES = number_option(500, "number of test episodes (default 500)", 1, config.EPISODES)
+EPISODES = number_option(500, "number of test episodes (default 500)", 1, config.MOST_EPISODES)
 JSON = option(False, "print JSON", "--json")
 OVERWRITE = option(False, "replace existing files", "--overwrite")
 THREADS = number_option(None, "threads to use (default one a core)", 1, 1024)

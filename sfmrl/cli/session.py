@@ -10,7 +10,7 @@ from typing import Any
 from sfmrl.cli import completion, options
 from sfmrl.cli.console import err, say
 from sfmrl.cli.options import number_option, option
-from sfmrl.config import SEED, Config, ConfigError, Simulation, counted, override
+from sfmrl.config import LARGEST_SEED, Config, ConfigError, Simulation, counted, override
 from sfmrl.runs.folders import newest_run
 from sfmrl.variants import MIXES
 
@@ -22,11 +22,11 @@ def exclude(given: dict[str, Any]) -> None:
         raise ConfigError(f"{' and '.join(flags)} exclude each other; leave out one of them")
 
 
-def say_habits(path: Path, config: Config) -> None:
+def say_differing_settings(path: Path, config: Config) -> None:
     """Say what the files beside a CrowdNav checkpoint set otherwise than this config."""
-    from sfmrl.runs.crowdnav import other_habits
+    from sfmrl.runs.crowdnav import differing_settings
 
-    for note in other_habits(path, config.simulation.robot_visible, config.simulation.kinematics):
+    for note in differing_settings(path, config.simulation.robot_visible, config.simulation.kinematics):
         say(note)
 
 
@@ -49,7 +49,7 @@ class TestOptions:
         autocompletion=completion.environments,
     )
     map_file: Path | None = options.MAP
-    seed: int = number_option(0, "seed of the test episodes (default 0)", 0, SEED)
+    seed: int = number_option(0, "seed of the test episodes (default 0)", 0, LARGEST_SEED)
     humans: int | None = number_option(
         None, "number of humans, all on a circle, wider from 11 on (default the environment's own)", 0, 200
     )
@@ -103,7 +103,7 @@ class TestOptions:
         config = override(config_of(chosen), settings)
         check_read(config.reward, settings.get("reward", {}))
         if name not in (*POLICIES, *model_names()) and not names_code(name):
-            say_habits(find_weights(name), config)
+            say_differing_settings(find_weights(name), config)
         return with_recovery(chosen, config.planner), name, config
 
     def play(self, policies: Sequence[Any], config: Config, episodes: int, settings: dict[str, Any]) -> list[Any]:

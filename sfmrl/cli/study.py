@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from sfmrl.cli import completion, options
-from sfmrl.cli.console import err, new_files, print_sheet, save_rows, say, say_json, say_result
+from sfmrl.cli.console import check_new_files, err, print_sheet, save_rows, say, say_json, say_result
 from sfmrl.cli.options import command, number_option, option
 from sfmrl.cli.session import TestOptions
 from sfmrl.config import Config, ConfigError, counted, override
@@ -78,7 +78,7 @@ def table(
     rows, seeds = selection.rows_and_seeds(number)
     if on not in ("here", "ray"):
         raise ConfigError(f"--on {on}: choose here or ray")
-    new_files(selection.overwrite, csv=csv, markdown=markdown)
+    check_new_files(selection.overwrite, csv=csv, markdown=markdown)
     which = (number, selection.preset, seeds, rows, selection.folder)
     trainings = make_jobs(*which, selection.episodes, selection.validation_interval)
     if print_jobs:
@@ -95,7 +95,7 @@ def table(
 
 def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:
     """Run the unfinished trainings; raises Interrupted, or exits with 1 if some failed."""
-    from sfmrl.lookahead import available_cores
+    from sfmrl.policies import available_cores
     from sfmrl.runs.progress import Interrupted, StopSignal, show_progress
     from sfmrl.study.jobs import Failed, Processes, RayWorkers, run_jobs
 
@@ -149,7 +149,7 @@ def figure(
     from sfmrl.study.validations import run_validations, table_validations
 
     _check_picture(out)
-    new_files(selection.overwrite, out=out, csv=csv)
+    check_new_files(selection.overwrite, out=out, csv=csv)
     tables = [target for target in targets if target in ("1", "2")]
     if tables and len(targets) > 1:
         raise ConfigError(f"figure draws one table, or runs; it got {', '.join(targets)}")
@@ -188,7 +188,7 @@ def plot(
     if scenes and policy:
         raise ConfigError(f"--scenes plays nothing; leave out the policy {policy}")
     _check_picture(out, films=not scenes)
-    new_files(test.overwrite, out=out)
+    check_new_files(test.overwrite, out=out)
     from sfmrl.study.plots import draw_episode, save, scenes_figure
 
     if scenes:

@@ -8,10 +8,21 @@ from typing import Any
 import typer
 
 from sfmrl.cli import completion, options
-from sfmrl.cli.console import WIDTH, err, new_files, out, print_table, save_rows, say, say_finding, say_json, say_result
+from sfmrl.cli.console import (
+    WIDTH,
+    check_new_files,
+    err,
+    out,
+    print_table,
+    save_rows,
+    say,
+    say_finding,
+    say_json,
+    say_result,
+)
 from sfmrl.cli.options import command, number_option, option
 from sfmrl.cli.session import TestOptions
-from sfmrl.config import EPISODES, STEPS
+from sfmrl.config import MOST_EPISODES, MOST_STEPS
 from sfmrl.lessons import Finding
 
 
@@ -24,7 +35,9 @@ def explain(
     episode: int = options.EPISODE,
     test: TestOptions,
     settings: dict[str, Any],
-    every: int | None = number_option(None, "show every N-th step, and those with events (default a dozen)", 1, STEPS),
+    every: int | None = number_option(
+        None, "show every N-th step, and those with events (default a dozen)", 1, MOST_STEPS
+    ),
     steps: str | None = option(None, "show these steps, e.g. 10:20 (default the whole episode)"),
     as_json: bool = option(False, "print JSON: all steps, all numbers", "--json"),
     csv: Path | None = option(None, "write all numbers to this file, one line per step"),
@@ -34,7 +47,7 @@ def explain(
     from sfmrl.lessons.explain import chosen_steps, explain_episode
     from sfmrl.lessons.tables import explanation_parts
 
-    new_files(test.overwrite, csv=csv)
+    check_new_files(test.overwrite, csv=csv)
     chosen, name, config = test.choose(policy, settings)
     scene = test.scene(test.where(config), episode, config)
     record = play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount, keep=True)
@@ -57,7 +70,7 @@ def verify(
     ),
     *,
     episodes: int = number_option(
-        100, "play at most this many test episodes, or demonstrations, again (default 100)", 1, EPISODES
+        100, "play at most this many test episodes, or demonstrations, again (default 100)", 1, MOST_EPISODES
     ),
     tolerance: float | None = number_option(
         None, "share of them that may end otherwise (default 0, or 0.05 if this machine computes other bits)", 0, 1
@@ -75,7 +88,7 @@ def verify(
     """
     from sfmrl.lessons.handed_in import runs_in, same_weights
     from sfmrl.lessons.verify import verify as findings_of
-    from sfmrl.lookahead import available_cores
+    from sfmrl.policies import available_cores
     from sfmrl.runs.progress import show_progress
 
     how = (episodes, tolerance, threads or available_cores(), show_progress(err))
@@ -87,7 +100,7 @@ def verify(
             say_result(str(error))
         for name, folder in folders.items():
             found = findings_of(folder, *how, trust_reward=trust_reward)
-            wrong, unknown, count = _sorted(_said(found) if len(folders) + len(errors) == 1 else found)
+            wrong, unknown, count = _by_result(_printed(found) if len(folders) + len(errors) == 1 else found)
             aside = f"; not judged: {', '.join(unknown)}" if unknown else ""
             verdict = f"{len(wrong)} of {count} DO NOT AGREE: {', '.join(wrong)}" if wrong else f"all {count} agree"
             say_result(f"{name}: {verdict}{aside}")
@@ -106,21 +119,21 @@ def doctor() -> None:
     """
     from sfmrl.lessons.doctor import examine
 
-    wrong, _, _ = _sorted(_said(examine(out)))
+    wrong, _, _ = _by_result(_printed(examine(out)))
     if wrong:
         say(f"not ok: {', '.join(wrong)}; see the remedy beside each")
         raise typer.Exit(1)
     say("all is well")
 
 
-def _said(findings: Iterable[Finding]) -> Iterator[Finding]:
-    """Print findings as they come."""
+def _printed(findings: Iterable[Finding]) -> Iterator[Finding]:
+    """Print findings as they come, and pass them on."""
     for finding in findings:
         say_finding(finding)
         yield finding
 
 
-def _sorted(findings: Iterable[Finding]) -> tuple[list[str], list[str], int]:
+def _by_result(findings: Iterable[Finding]) -> tuple[list[str], list[str], int]:
     """The names of the findings that are wrong, and that are not judged, and the number judged."""
     by_result: dict[bool | None, list[str]] = {True: [], False: [], None: []}
     for finding in findings:

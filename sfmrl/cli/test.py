@@ -6,7 +6,7 @@ from typing import Any
 import typer
 
 from sfmrl.cli import options
-from sfmrl.cli.console import new_files, print_metrics, print_sheet, print_social, save_rows, say, say_json
+from sfmrl.cli.console import check_new_files, print_metrics, print_sheet, print_social, save_rows, say, say_json
 from sfmrl.cli.options import command, option
 from sfmrl.cli.session import TestOptions, code_facts
 from sfmrl.config import ConfigError, counted
@@ -37,7 +37,7 @@ def evaluate(
     from sfmrl.maps import why_unsolvable
     from sfmrl.study.social import social_metrics, social_rows
 
-    new_files(test.overwrite, csv=csv)
+    check_new_files(test.overwrite, csv=csv)
     chosen, name, config = test.choose(policy, settings)
     (record,) = test.play([chosen], config, episodes, settings)
     result = metrics(record, chosen)
@@ -82,7 +82,7 @@ def compare(
 
     if len(policies) < 2 or len(set(policies)) < len(policies):
         raise ConfigError(f"compare takes two or more different policies; it got {', '.join(policies)}")
-    new_files(test.overwrite, csv=csv)
+    check_new_files(test.overwrite, csv=csv)
     chosen, _, (config, *_) = zip(*(test.choose(policy, settings) for policy in policies), strict=True)
     records = test.play(chosen, config, episodes, settings)
     comparison = compare_records(records, chosen, policies)

@@ -9,7 +9,7 @@ from typing import Any, cast
 from sfmrl.cli import completion, options
 from sfmrl.cli.console import err, print_metrics, say
 from sfmrl.cli.options import command, option
-from sfmrl.cli.session import as_options, drawn, exclude, say_habits
+from sfmrl.cli.session import as_options, drawn, exclude, say_differing_settings
 from sfmrl.config import Config, ConfigError, override
 from sfmrl.runs.files import read_regular
 from sfmrl.runs.folders import as_words, finished
@@ -123,7 +123,7 @@ def rl(
     threads: int | None = options.THREADS,
 ) -> None:
     """Reinforcement: continue from the imitation network by deep V-learning, then test."""
-    from sfmrl.lookahead import available_cores
+    from sfmrl.policies import available_cores
     from sfmrl.runs.create import start_run
     from sfmrl.runs.training import run_reinforcement
     from sfmrl.scenes import label
@@ -170,7 +170,7 @@ def _say_start(run: Any) -> None:
     if weights := run.facts.get("weights"):
         prior = "with" if run.config.value_prior else "without"
         say(f"from the network in {weights['file']}, {prior} value-prior as there")
-        say_habits(Path(weights["file"]), run.config)
+        say_differing_settings(Path(weights["file"]), run.config)
 
 
 def on_run(command: str, run: Any) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from sfmrl.cli import options
-from sfmrl.cli.console import new_files, out, say, say_result
+from sfmrl.cli.console import check_new_files, out, say, say_result
 from sfmrl.cli.options import command, number_option, option
 from sfmrl.cli.session import TestOptions, exclude, simulation_for
 from sfmrl.config import Config, ConfigError, counted, override
@@ -31,7 +31,7 @@ class Look:
 
     def check(self, overwrite: bool) -> None:
         """Raise ConfigError if files cannot be written, or if options contradict each other."""
-        new_files(overwrite, svg=self.svg, cast=self.cast)
+        check_new_files(overwrite, svg=self.svg, cast=self.cast)
         exclude({"--frames": self.frames, "--at": self.at})
         if self.cast and not self.svg and self.stills():
             raise ConfigError("--frames and --at choose stills, but a recording has every step; leave them out")

@@ -1,8 +1,8 @@
 """Observations and actions of agents, and E episodes side by side.
 
 Observations and actions are in the frame of the value network's states: the robot is the origin, and the x axis points
-to its goal.
-`observe` and `robot_velocity` are functions of a `World`, so that a trained agent can be a policy of `sfmrl.play`.
+to its goal. `observe` and `robot_velocity` are functions of a `World`, so that a trained agent can be a policy of
+`sfmrl.play`.
 """
 
 from dataclasses import replace
@@ -11,13 +11,13 @@ from typing import Any, cast
 import numpy as np
 
 from sfmrl.actions import ACTIONS, robot_actions
-from sfmrl.config import EPISODES, SEED, Config, Reward, Simulation, in_range
-from sfmrl.geometry import direction, limit, unit
+from sfmrl.config import LARGEST_SEED, MOST_EPISODES, Config, Reward, Simulation, in_range
+from sfmrl.geometry import direction, limit, unit_at
 from sfmrl.lookahead import world_states
 from sfmrl.orca import Edges
 from sfmrl.rewards import OUTCOMES, RUNNING, SUCCESS, OwnReward, Transition, reward_terms, total
 from sfmrl.scenes import sample_scenes
-from sfmrl.states import ELEMENT, OWN
+from sfmrl.states import ELEMENT, own_columns
 from sfmrl.world import TURN_RATE, World, advance, crowd_velocities, drive, reset, transition
 
 CONFIGS = {forces: Config(forces=forces) for forces in (False, True)}  # for the columns of the states
@@ -32,7 +32,7 @@ def observe(world: World, forces: bool = False) -> dict[str, np.ndarray]:
     `robot` (E, 6), or (E, 8) with forces; `elements` (E, K, 7) or (E, K, 9), nearest first, 0 where absent; `mask`
     (E, K), 1 where an element is present.
     """
-    states, own = world_states(world, CONFIGS[forces]), len(OWN) + 2 * forces
+    states, own = world_states(world, CONFIGS[forces]), own_columns(forces)
     distance = states[..., own + ELEMENT.index("distance")]
     order = distance.argsort(axis=1, kind="stable")  # absent ones, NaN, last
     elements = np.take_along_axis(states[..., own:], order[..., None], axis=1)
@@ -45,9 +45,9 @@ def robot_velocity(world: World, action: np.ndarray) -> np.ndarray:
     """The robots' velocities (E, 2) in m/s for the agents' actions.
 
     An action is a share of v_pref (forward, left), cut to the unit disc, (E, 2), or the index of one of SARL's 81
-    actions with heading 0 as forward, (E,) integers. A unicycle's is its speed, -1 for 0 to 1 for
-    v_pref, and its turn, -1 for the fastest to the right to 1 for the fastest to the left; its 81 are `robot_actions`.
-    Raises ValueError for other shapes, where one is not finite, and for other indices.
+    actions with heading 0 as forward, (E,) integers. A unicycle's is its speed (-1 is 0, 1 is v_pref) and its turn (-1
+    is the fastest to the right, 1 to the left); its 81 are `robot_actions`. Raises ValueError for other shapes, where
+    one is not finite, and for other indices.
     """
     action, shapes = np.asarray(action), ((len(world), 2), (len(world),))
     if action.shape not in shapes:
@@ -70,7 +70,7 @@ def _driven(world: World, action: np.ndarray) -> np.ndarray:
     """A unicycle's velocity (E, 2) in m/s for a speed and a turn; all but 0 where it turns on the spot."""
     speed = np.clip((1.0 + action[:, 0]) / 2.0, STANDS, 1.0) * world.v_pref[:, 0]
     turn = np.clip(action[:, 1], -1.0, 1.0) * TURN_RATE * world.simulation.time_step
-    return speed[:, None] * unit(world.heading + turn)
+    return speed[:, None] * unit_at(world.heading + turn)
 
 
 class Crowd:
@@ -92,7 +92,7 @@ class Crowd:
         kinematics: str = "holonomic",
         phase: str = "train",
     ) -> None:
-        self.count = int(in_range("num_envs", count, 1, EPISODES))
+        self.count = int(in_range("num_envs", count, 1, MOST_EPISODES))
         self.forces = Config(forces=forces).forces
         self.simulation = Simulation(crowd=crowd, robot_visible=robot_visible, kinematics=kinematics)
         self.reward = Reward(reward=reward) if isinstance(reward, str) else reward
@@ -104,7 +104,7 @@ class Crowd:
     def start(self, rng: np.random.Generator, seeded: bool, options: dict[str, Any]) -> None:
         """Start the episodes from number `options["episode"]` on, else from a random one if `seeded`, else the next."""
         if "episode" in options:
-            self.following = int(in_range("episode", options["episode"], 0, SEED))
+            self.following = int(in_range("episode", options["episode"], 0, LARGEST_SEED))
         elif seeded or self.following is None:
             self.following = int(rng.integers(FIRST))
         self.world, self.labels = self._next(self.count)

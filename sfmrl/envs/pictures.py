@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from sfmrl.config import Config, Reward
+from sfmrl.config import Config
 from sfmrl.envs.crowd import Crowd
 from sfmrl.episodes import Record
 from sfmrl.geometry import length
-from sfmrl.lookahead import step_discount
 from sfmrl.replay.frames import Replay
 from sfmrl.replay.story import make_story
-from sfmrl.rewards import RUNNING, TIMEOUT, Transition, total
+from sfmrl.rewards import RUNNING, TIMEOUT, Transition
 from sfmrl.scenes import Scenes
 from sfmrl.world import World, transition
 
@@ -27,14 +26,7 @@ def as_text(crowd: Crowd, past: list[tuple[World, Transition]]) -> str:
     if running:  # a story needs an end, so add a step that times out
         rest = transition(crowd.world, np.zeros((1, 2)))
         steps.append((crowd.world, replace(rest, outcome=np.array([TIMEOUT]))))
-    record = _recorded(crowd, steps)
-    reward = crowd.reward if isinstance(crowd.reward, Reward) else Reward()
-    own = reward is not crowd.reward  # a function, which a story cannot take
-    story = make_story(record, None, reward, DISCOUNT)
-    if own:
-        terms = crowd.terms(record.transition[0])
-        factors = step_discount(DISCOUNT, crowd.world.v_pref[0, 0], crowd.simulation) ** np.arange(len(steps))
-        story = replace(story, terms=terms, returns=np.append(0.0, np.cumsum(total(terms) * factors)))
+    story = make_story(_recorded(crowd, steps), None, crowd.reward, DISCOUNT)
     if running:
         story = replace(story, time=np.append(story.time[:-1], story.time_limit))
     return Replay((story,), ("",)).frame(len(past)).plain

@@ -60,7 +60,7 @@ def relu(y: np.ndarray, bias: np.ndarray | None = None) -> np.ndarray:
     rows = ROWS if len(y) % (4 * ROWS) else 4 * ROWS
     wide = y.reshape(-1, rows * y.shape[1])
     if bias is not None:
-        wide += np.repeat(bias[None], rows, axis=0).ravel()
+        wide += np.tile(bias, rows)
     np.maximum(wide, np.zeros(wide.shape[1], np.float32), out=wide)
     return y
 

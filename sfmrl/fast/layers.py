@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sfmrl.states import OWN, column_names
+from sfmrl.states import column_names, own_columns
 
 Parameters = dict[str, np.ndarray]  # by CrowdNav's names
 
@@ -20,7 +20,7 @@ class Sizes(NamedTuple):
 
 def layer_shapes(forces: bool, sizes: Sizes = Sizes()) -> dict[str, tuple[int, ...]]:
     """The shapes of the parameters by CrowdNav's names; those of weights are (out, in)."""
-    hidden, own = sizes.mlp1[-1], len(OWN) + 2 * forces
+    hidden, own = sizes.mlp1[-1], own_columns(forces)
     inputs = len(column_names(forces)), hidden, 2 * hidden, own + sizes.mlp2[-1]
     shapes: dict[str, tuple[int, ...]] = {}
     for part, units, first in zip(Sizes._fields, sizes, inputs, strict=True):

@@ -7,14 +7,12 @@ import numpy as np
 from sfmrl.fast.network import FastNetwork
 
 MOMENTUM = 0.9  # of SGD, as in the paper
-MEAN, SQUARE, TINY = 0.9, 0.999, 1e-8  # of Adam, as its authors suggest
+BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8  # of Adam, as its authors suggest
 NEGLIGIBLE = 1e-20  # a mean gradient too small to move a parameter; hundreds of steps later it is denormal
 
 
 class SGD:
     """Descent along the sum of all gradients so far, which decays by `MOMENTUM` at each step (Polyak, 1964)."""
-
-    falls = False  # whether the learning rate falls linearly to 0 over a training
 
     def __init__(self, network: FastNetwork) -> None:
         self.network = network
@@ -23,7 +21,7 @@ class SGD:
 
     def rate(self, highest: float, progress: float) -> float:
         """The learning rate at a `progress` from 0 to 1 of a training."""
-        return highest * (1.0 - progress) if self.falls else highest
+        return highest
 
     def step(self, rate: float) -> None:
         """Move the network's parameters at learning rate `rate`."""
@@ -45,28 +43,30 @@ class SGD:
 class Adam(SGD):
     """Descent along the mean gradient, divided by the root of the mean squared gradient (Kingma and Ba, 2015)."""
 
-    falls = True
-
     def __init__(self, network: FastNetwork) -> None:
         super().__init__(network)
         self.moments.append(np.zeros_like(network.flat))
+
+    def rate(self, highest: float, progress: float) -> float:
+        """The learning rate at a `progress` from 0 to 1 of a training: it falls linearly to 0."""
+        return highest * (1.0 - progress)
 
     def step(self, rate: float) -> None:
         """Move the network's parameters at learning rate `rate`; both means are corrected for their start at 0."""
         mean, square = self.moments
         self.steps += 1
         change = self.network.gradient - mean
-        change *= np.float32(1 - MEAN)
+        change *= np.float32(1 - BETA1)
         mean += change
         np.square(self.network.gradient, out=change)
         change -= square
-        change *= np.float32(1 - SQUARE)
+        change *= np.float32(1 - BETA2)
         square += change
         np.sqrt(square, out=change)
-        change *= np.float32((1 - SQUARE**self.steps) ** -0.5)
-        change += np.float32(TINY)
+        change *= np.float32((1 - BETA2**self.steps) ** -0.5)
+        change += np.float32(EPSILON)
         np.divide(mean, change, out=change)
-        change *= np.float32(rate / (1 - MEAN**self.steps))
+        change *= np.float32(rate / (1 - BETA1**self.steps))
         self.network.flat -= change
 
 

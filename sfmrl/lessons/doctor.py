@@ -76,7 +76,7 @@ def _two_threads() -> Finding:
 
 def _processor() -> Finding:
     """Return which bits processor and libraries compute; machines with equal ones train to equal numbers."""
-    from sfmrl.lookahead import available_cores
+    from sfmrl.policies import available_cores
     from sfmrl.runs.bits import machine_bits
 
     cores = f"{available_cores()} usable cores of {os.cpu_count() or 1}"

@@ -17,7 +17,7 @@ from sfmrl.runs.files import read_listed, read_table
 from sfmrl.runs.folders import DEMONSTRATIONS, WEIGHTS
 from sfmrl.runs.progress import Progress
 from sfmrl.runs.run import Run
-from sfmrl.runs.training import play
+from sfmrl.runs.training import play_evaluation
 from sfmrl.runs.weights import load_weights
 
 TIME_TOLERANCE = 0.05  # where the bits differ, the largest median difference of the episodes' times, as a share
@@ -79,7 +79,7 @@ class Rerun:
         network, config = load_weights(run.folder / WEIGHTS)[0], run.config
         alone = SarlPolicy(network, config, self.threads)
         policy = with_recovery(alone, config.planner) if recover else alone
-        return play(policy, "test", min(self.episodes, config.reinforcement.test_episodes), self.progress)
+        return play_evaluation(policy, "test", min(self.episodes, config.reinforcement.test_episodes), self.progress)
 
     def judged(
         self, what: str, again: Record, outcome: np.ndarray, steps: np.ndarray | None = None, exact: bool = False

@@ -76,4 +76,4 @@ def _sums_table(explanation: Explanation) -> Table:
 
 def _signed(number: float, digits: int = DIGITS) -> Text:
     """Return a number with its sign; "0" for exactly 0, and no "-0.0000"."""
-    return Text(f"{round(number, digits) + 0.0:+.{digits}f}") if number else Text("0", "dim")
+    return Text(f"{number:+z.{digits}f}") if number else Text("0", "dim")

@@ -49,11 +49,11 @@ def draw_map(scenes: Scenes, episode: int = 0) -> str:
 
 def why_unsolvable(scenes: Scenes, time_limit: float) -> str | None:
     """Why squares or distance let no policy reach the first episode's goal in `time_limit` s; None if they do not."""
-    far = float(shortest_path(scenes.take([0]))[0])
-    if np.isinf(far):
+    way = float(shortest_path(scenes.take([0]))[0])
+    if np.isinf(way):
         return "unsolvable, the squares leave no way to the goal (a passage must be two characters wide)"
-    if far > time_limit * scenes.v_pref[0, 0]:
-        return f"the way to the goal is {far:.0f} m, more than the robot can go in --time-limit {time_limit:g} (s)"
+    if way > time_limit * scenes.v_pref[0, 0]:
+        return f"the way to the goal is {way:.0f} m, more than the robot can go in --time-limit {time_limit:g} (s)"
     return None
 
 

@@ -29,7 +29,8 @@ __all__ = ["Edges", "orca_velocities", "polygon_edges"]
 BLOCK = 32768  # pairs at a time: a few such rows stay in the processor's cache
 LAST = 0x7FFFFFFF  # more than the bits of any float
 
-# glibc keeps up to twice the largest block that was ever freed: 32 MB for the next step, not given back after each.
+# Once a block of 16 MB has been freed, glibc keeps up to 32 MB of freed memory for the next step, instead of returning
+# it to the system after each.
 np.empty(1 << 24, np.uint8)
 
 

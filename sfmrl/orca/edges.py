@@ -20,7 +20,7 @@ from sfmrl.orca.vectors import INFINITY, det, dot, turn_left, unit
 
 COVERED = np.float32(1e-5)  # m/s by which a covered edge may stick out
 SIDES = np.array([[1], [-1]], np.float32)  # an edge's start is at the left, its end at the right
-FEW = 4000  # pairs; with more, it pays to sort out those that the nearest edge covers first
+NEAREST_FIRST = 4000  # pairs; with more, it pays to sort out those that the nearest edge covers first
 
 
 def edge_half_planes(edges, agent, time_horizon):
@@ -42,17 +42,17 @@ def edge_half_planes(edges, agent, time_horizon):
         counts = counts.nonzero()[0]
         return planes.take(counts, axis=1), slot[counts], owner[counts]
 
-    left, parts = squared < INFINITY, []
-    if left.size > FEW:
-        owner = left.any(axis=0).nonzero()[0]
+    remaining, parts = squared < INFINITY, []
+    if remaining.size > NEAREST_FIRST:
+        owner = remaining.any(axis=0).nonzero()[0]
         slot = squared.argmin(axis=0)[owner]
-        left[slot, owner] = False
+        remaining[slot, owner] = False
         parts.append(planes_of(slot, owner))
         planes, _, owner = parts[0]
         covering = np.zeros((4, agents), np.float32)
         covering[:, owner] = planes
-        left &= ~covers(covering, ends, agent[4], time_horizon)
-    parts.append(planes_of(*np.divmod(left.ravel().nonzero()[0], agents)))
+        remaining &= ~covers(covering, ends, agent[4], time_horizon)
+    parts.append(planes_of(*np.divmod(remaining.ravel().nonzero()[0], agents)))
     planes, slot, owner = (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
     pair = slot * agents + owner
     # Sort by agent, distance and slot, all in one integer of 16 + 31 + 16 bits: positive floats are ordered as their

@@ -10,7 +10,7 @@ beyond its reach leads around squares to the point where the straight line to th
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,6 +31,7 @@ SOLID = 1e4  # ... and of a metre on which it touches one
 UNREACHABLE = 500.0  # m: longer than any detour, shorter than a cell of a square
 FARTHEST = 150.0  # m from the robot's start to squares that `shortest_path` heeds, for which a grid has room
 TOGETHER = MOST_CELLS // MOST_ACROSS**2  # scenes whose grids together are never too large
+OUTLINES = Planner(inflation=0.0)  # paths may touch the squares' outlines
 GRID_ERROR = 1.015  # no distance over a grid is longer than this, times the true one
 
 
@@ -84,8 +85,8 @@ def plan(scenes: Scenes, planner: Planner, reach: np.ndarray | None = None) -> G
     robot, goal = scenes.start[:, 0], scenes.goal[:, 0]
     way = length(goal - robot)
     reach = np.maximum(REACH, way if reach is None else reach)
-    far = way > reach
-    goal = np.where(far[:, None], robot + (goal - robot) * (reach / np.where(far, way, 1.0))[:, None], goal)
+    beyond = way > reach
+    goal = np.where(beyond[:, None], robot + (goal - robot) * (reach / np.where(beyond, way, 1.0))[:, None], goal)
     apart = np.abs(scenes.start - robot[:, None]).max(-1)
     square = scenes.square & (apart - scenes.radius <= reach[:, None])
     places = np.where(square[..., None], scenes.start, np.nan)
@@ -110,31 +111,31 @@ def plan(scenes: Scenes, planner: Planner, reach: np.ndarray | None = None) -> G
         part = slice(e, e + block)
         grid = _distances(scenes.take(part), goal[part], square[part], corner[part], size[part], planner)
         values[part, : grid.shape[1], : grid.shape[2]] = grid
-    return Geodesics(values, corner, size, np.where(far, way - reach, 0.0), planner.resolution)
+    return Geodesics(values, corner, size, np.where(beyond, way - reach, 0.0), planner.resolution)
 
 
-def solvable(scenes: Scenes, planner: Planner = Planner()) -> np.ndarray:
+def solvable(scenes: Scenes) -> np.ndarray:
     """Whether a path leads from the robot's start to its goal without touching a square's outline, (E,).
 
     A passage may count as closed if it is less than 1.5 cells (`resolution`) wider than the robot.
     """
-    return np.isfinite(shortest_path(scenes, planner))
+    return np.isfinite(shortest_path(scenes))
 
 
-def shortest_path(scenes: Scenes, planner: Planner = Planner()) -> np.ndarray:
+def shortest_path(scenes: Scenes) -> np.ndarray:
     """Length in m of the shortest path from the robot's start to its goal around the squares' outlines, (E,).
 
     It is inf where the squares leave no path, and straight where there are none; those more than `FARTHEST` from the
     start are ignored. Narrow passages may be closed, as for `solvable`. Outlines count also where gaps are to the discs
-    inside (`squares`). Of `planner`, it takes the resolution. Raises ConfigError where this makes a grid too large.
+    inside (`squares`). Raises ConfigError where a grid would be too large.
     """
     straight = length(scenes.goal[:, 0] - scenes.start[:, 0])
-    around, planner = straight.copy(), replace(planner, inflation=0.0)
+    around = straight.copy()
     among_squares = np.flatnonzero((scenes.square & ~np.isnan(scenes.start[..., 0])).any(1))
     for e in range(0, len(among_squares), TOGETHER):
         rows = among_squares[e : e + TOGETHER]
         some, reach = scenes.take(rows), np.minimum(straight[rows], FARTHEST)
-        around[rows] = plan(some, planner, reach).at(np.arange(len(rows)), some.start[:, 0])
+        around[rows] = plan(some, OUTLINES, reach).at(np.arange(len(rows)), some.start[:, 0])
     around = np.where(around < GRID_ERROR * straight, straight, around)  # straight lines are exact
     return np.where(around - straight < UNREACHABLE, around, np.inf)
 
@@ -159,23 +160,23 @@ def _distances(
     beyond = (np.arange(columns) >= size[:, :1]) | (np.arange(rows)[:, None, None] >= size[:, 1:])
     cost = np.where(beyond, np.inf, resolution * cost).astype(np.float32)
 
-    far = np.full_like(cost, np.inf)
+    distance = np.full_like(cost, np.inf)
     goal = (goal - corner) / resolution
     for shift in ((0, 0), (0, 1), (1, 0), (1, 1)):  # the four cells around the goal
         cell = goal.astype(int) + shift
-        far[cell[:, 1], episode, cell[:, 0]] = resolution * length(cell - goal)
-    return _shortest(far, cost).transpose(1, 0, 2)
+        distance[cell[:, 1], episode, cell[:, 0]] = resolution * length(cell - goal)
+    return _shortest(distance, cost).transpose(1, 0, 2)
 
 
-def _shortest(far: np.ndarray, cost: np.ndarray) -> np.ndarray:
-    """Path lengths (Y, E, X) from the cells where `far` is finite; the `cost` of a step's last cell weights it."""
+def _shortest(distance: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """Path lengths (Y, E, X) from the cells where `distance` is finite; the `cost` of a step's last cell weights it."""
     turned, cost = _widened(cost.transpose(2, 1, 0)), _widened(cost)
     before: np.ndarray | None = None
-    while before is None or not np.array_equal(far, before):
-        before = far
-        far = _sweep(far, cost)
-        far = _sweep(far.transpose(2, 1, 0), turned).transpose(2, 1, 0)
-    return far
+    while before is None or not np.array_equal(distance, before):
+        before = distance
+        distance = _sweep(distance, cost)
+        distance = _sweep(distance.transpose(2, 1, 0), turned).transpose(2, 1, 0)
+    return distance
 
 
 def _widened(grid: np.ndarray) -> np.ndarray:
@@ -186,10 +187,10 @@ def _widened(grid: np.ndarray) -> np.ndarray:
     return wide.reshape(rows, -1)
 
 
-def _sweep(far: np.ndarray, cost: np.ndarray) -> np.ndarray:
-    """Distances `far` (Y, E, X), shortened by steps from row to row, first upwards and then downwards."""
-    rows, scenes, columns = far.shape
-    wide = _widened(far)
+def _sweep(distance: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """`distance` (Y, E, X), shortened by steps from row to row, first upwards and then downwards."""
+    rows, scenes, columns = distance.shape
+    wide = _widened(distance)
     reached, nearest = np.empty((2, wide.shape[1]), dtype=np.float32)
     for order in (range(1, rows), range(rows - 2, -1, -1)):
         for row in order:

@@ -14,7 +14,8 @@ import numpy as np
 from sfmrl.actions import ACTIONS, Notes, Policy, explained, robot_actions
 from sfmrl.config import Planner, Simulation
 from sfmrl.geometry import closest_approach, wrapped
-from sfmrl.own_code import checked_action
+from sfmrl.lookahead import SarlPolicy
+from sfmrl.own_code import OwnPolicy, checked_action
 from sfmrl.recovery.planner import Geodesics, plan
 from sfmrl.rewards import COLLISION, SUCCESS
 from sfmrl.scenes import Scenes
@@ -32,8 +33,9 @@ class RecoveringPolicy:
 
     def __init__(self, policy: Policy, planner: Planner) -> None:
         self.policy, self.planner, self.original = policy, planner, policy
-        if hasattr(policy, "trap_steps"):
-            self.policy = copy.copy(policy)
+        network = policy.own if isinstance(policy, OwnPolicy) else policy
+        if isinstance(network, SarlPolicy):
+            self.policy = copy.copy(network)
             self.policy.trap_steps = TRAP_STEPS
         self._geodesics: Geodesics | None = None
 
@@ -90,7 +92,7 @@ class RecoveringPolicy:
         """The action (E, 2) in m/s after which the path to the goal is shortest, of those that are safe."""
         actions = robot_actions(world)  # (E, A, 2)
         outcome = transition(world, actions).outcome
-        left = self.path_length(world, world.ahead(actions))
+        left = self.path_length(world, world.position_after(actions))
         if world.heading is not None:
             left = left + self.turns_left(world, actions)
         left = np.where(outcome == SUCCESS, -1.0, np.where(outcome == COLLISION, np.inf, left))
@@ -100,7 +102,7 @@ class RecoveringPolicy:
     def turns_left(self, world: World, actions: np.ndarray) -> np.ndarray:
         """How far a unicycle could go while it turns to where the path leads, after each action (E, A, 2): (E, A) m."""
         moves = ACTIONS * world.v_pref[:, 0, None, None]
-        shortest = self.path_length(world, world.ahead(moves)).argmin(1)
+        shortest = self.path_length(world, world.position_after(moves)).argmin(1)
         x, y = moves[np.arange(len(world)), shortest].T[..., None]
         return world.v_pref[:, :1] * np.abs(wrapped(turned(world, actions) - np.arctan2(y, x))) / TURN_RATE
 

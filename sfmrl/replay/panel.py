@@ -6,7 +6,7 @@ All functions return texts of a given size. Parts that a policy does not have ar
 import numpy as np
 from rich.text import Text
 
-from sfmrl.geometry import length, unit
+from sfmrl.geometry import length, unit_at
 from sfmrl.replay.canvas import FORCE_ARROWS, Style, fitted, octant, styled
 from sfmrl.replay.story import Story, glyph_of
 from sfmrl.replay.timeline import OUTCOMES
@@ -162,7 +162,7 @@ def action_disc(actions: np.ndarray, values: np.ndarray, taken: int, rows: int) 
     speeds, ring = np.unique(np.round(length(actions), 6), return_inverse=True)
     heading = np.arctan2(actions[:, 1], actions[:, 0])
     reach = radius * ring / max(len(speeds) - 1, 1)  # (A,) in rows
-    place = reach[:, None] * unit(heading)  # (A, 2)
+    place = reach[:, None] * unit_at(heading)  # (A, 2)
     y, x = np.mgrid[radius : -radius - 1 : -1, -radius : radius : (2 * rows - 1) * 1j]
     cells = np.stack((x, y), -1)  # (rows, columns, 2)
     distance = length(cells[:, :, None] - place)  # (rows, columns, A)

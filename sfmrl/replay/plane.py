@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from rich.text import Text
 
-from sfmrl.geometry import direction, length, unit
+from sfmrl.geometry import direction, length, unit_at
 from sfmrl.replay.canvas import FORCE_ARROWS, NEIGHBOURS, VELOCITY_ARROWS, Canvas, Style, View, first_fitting, octant
 from sfmrl.replay.story import Story, glyph_of
 from sfmrl.sfm import resultant
@@ -18,7 +18,7 @@ from sfmrl.sfm import resultant
 TRAIL_MOMENTS = 8  # length of a person's trail
 TRAIL_POINTS = 4  # points per step of the robot's trail
 RING_ROWS = 0.9  # rows: discs of at least this radius are drawn as rings
-UNIT_RING = unit(np.arange(48) * np.pi / 24)
+UNIT_RING = unit_at(np.arange(48) * np.pi / 24)
 ARROW_METRES = 0.5  # m, length of an arrow for 1 m/s or 1 m/s^2
 STANDING = 0.3  # m/s, for which a unicycle robot has an arrow if it is slower
 ARROW_RANGE = (0.05, 2.0)  # m/s or m/s^2: no arrow for less, no longer arrow for more
@@ -42,7 +42,7 @@ def draw_moment(story: Story, t: int, view: View, people_trails: bool) -> Canvas
         marked |= dict.fromkeys((0, *hit), Style.DANGER)
     push, velocity = resultant(story.force[t]), story.velocity[t].copy()
     if story.heading is not None:
-        velocity[0] = max(length(velocity[0]), STANDING) * unit(story.heading[t])
+        velocity[0] = max(length(velocity[0]), STANDING) * unit_at(story.heading[t])
     draw_scene(canvas, position[t], velocity, story.goal[0], story.radius, story.square, marked, push)
     for row in hit:
         canvas.put(position[t, [0, row]].mean(0), "X", Style.DANGER)

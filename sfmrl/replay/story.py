@@ -16,10 +16,11 @@ from sfmrl.config import Reward
 from sfmrl.episodes import Record
 from sfmrl.geometry import length
 from sfmrl.lookahead import Lookahead, SarlPolicy, step_discount
-from sfmrl.rewards import RUNNING, reward_terms, total
+from sfmrl.rewards import OwnReward, reward_terms, too_close, total
 from sfmrl.sfm import repulsive_forces
 
 ELEMENT_GLYPHS = digits[1:] + ascii_letters
+LOOK = {"actions", "values", "best"}  # the notes of a `SarlPolicy`
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ def scene_name(environment: str, episode: int) -> str:
     return f"{named} · episode {episode}"
 
 
-def make_story(record: Record, policy: Policy | None, reward: Reward, discount: float) -> Story:
+def make_story(record: Record, policy: Policy | None, reward: Reward | OwnReward, discount: float) -> Story:
     """The story of the first episode of a record of `policy`; returns have the `discount` per second at 1 m/s.
 
     It has attention, values and stuck steps if the record has notes (`play_episodes(keep=True)`).
@@ -88,9 +89,9 @@ def make_story(record: Record, policy: Policy | None, reward: Reward, discount: 
     step = record.transition[0, :steps]
     terms = reward_terms(reward)(step)
     factors = step_discount(discount, scenes.v_pref[0, 0], record.simulation) ** np.arange(steps)
-    close = (step.outcome == RUNNING) & (step.separation < reward.discomfort_distance)
+    close = too_close(step, reward if isinstance(reward, Reward) else Reward())
     notes = {name: array[0, :steps] for name, array in record.notes.items()}
-    looks = "values" in notes and len(scenes.radius[0]) > 1
+    looks = notes.keys() >= LOOK and hasattr(policy, "attention") and len(scenes.radius[0]) > 1
     return Story(
         name=scene_name(scenes.environment[0], scenes.episode[0]),
         time=moments.time,

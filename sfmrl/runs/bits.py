@@ -25,10 +25,10 @@ STEPS, RATE = 8, 0.05  # of gradient descent
 
 def versions() -> dict[str, str]:
     """Versions of sfmrl and of all that its numbers depend on, as run.json stores them."""
-    made_of = {"commit": found} if (found := commit()) else {}
+    checkout = commit()
     return {
         "sfmrl": __version__,
-        **made_of,
+        **({"commit": checkout} if checkout else {}),
         "python": platform.python_version(),
         "numpy": np.__version__,
         "system": platform.platform(),

@@ -122,8 +122,10 @@ def _check_replaceable(folder: Path, overwrite: bool) -> None:
         return
     if in_training(folder):
         raise ConfigError(f"{folder} is being trained by another process; name another --run")
-    ways = ["name another --run", "replace it with --overwrite", f"go on with it by --resume {as_words(folder)}"]
-    raise ConfigError(f"{folder} is there already; {', or '.join(ways[: 2 + (not finished(folder))])}")
+    ways = ["name another --run", "replace it with --overwrite"]
+    if not finished(folder):
+        ways.append(f"go on with it by --resume {as_words(folder)}")
+    raise ConfigError(f"{folder} is there already; {', or '.join(ways)}")
 
 
 def _counts_as_empty(folder: Path) -> bool:

@@ -56,7 +56,9 @@ def unwrapped(content: Any) -> Any:
     for _ in range(MAX_WRAPPERS):  # a bound, since a dictionary can contain itself
         keys = [key for key in WRAPPERS if isinstance(content, dict) and isinstance(content.get(key), dict)]
         content = content[keys[0]] if keys else content
-    for prefix in PREFIXES * isinstance(content, dict):
+    if not isinstance(content, dict):
+        return content
+    for prefix in PREFIXES:
         if content and all(str(name).startswith(prefix) for name in content):
             content = {name.removeprefix(prefix): value for name, value in content.items()}
     return content
@@ -126,14 +128,14 @@ def export_weights(network: FastNetwork, path: Path) -> str:
     return write_atomically(Path(path), buffer.getvalue(), checked=False)
 
 
-def other_habits(path: Path, robot_visible: bool, kinematics: str = "holonomic") -> list[str]:
-    """Sentences on what CrowdNav's config files beside a checkpoint set otherwise than it is played here."""
+def differing_settings(path: Path, robot_visible: bool, kinematics: str = "holonomic") -> list[str]:
+    """Warnings where CrowdNav's config files beside a checkpoint differ from how it is played here."""
     policy, world = (_read_ini(path.with_name(name)) for name in ("policy.config", "env.config"))
     theirs = policy.get("action_space", "kinematics", fallback="holonomic")
     unseen = world.get("robot", "visible", fallback="true").lower() in ("false", "no", "off", "0")
     moves = "was trained for a robot that turns; --kinematics unicycle plays it so"
     sees = "was trained among people who did not see the robot; --no-robot-visible plays it so"
-    notes = {moves: theirs == "unicycle" != kinematics, sees: unseen and robot_visible}
+    notes = {moves: theirs == "unicycle" and kinematics == "holonomic", sees: unseen and robot_visible}
     return [f"{path} {note}" for note, holds in notes.items() if holds]
 
 

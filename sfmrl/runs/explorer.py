@@ -35,7 +35,7 @@ class Explorer:
             spawn = multiprocessing.get_context("spawn")  # a fork would inherit locks that threads hold
             self._pool = ProcessPoolExecutor(1, spawn, _prepare)
             with held_back():  # the new process inherits this, so no signal interrupts its imports
-                self._pool.submit(_policy, *self._setup)  # imports and allocates before the first episode is due
+                self._pool.submit(_warm_up, *self._setup)
 
     def __enter__(self) -> "Explorer":
         return self
@@ -79,6 +79,11 @@ def _prepare() -> None:
 @cache
 def _policy(config: Config, threads: int, sizes: Sizes) -> SarlPolicy:
     return SarlPolicy(new_network(config, sizes=sizes), config, threads)
+
+
+def _warm_up(config: Config, threads: int, sizes: Sizes) -> None:
+    """Import and allocate before the first episode is due; returns nothing, since a policy cannot be pickled."""
+    _policy(config, threads, sizes)
 
 
 def _explore(config: Config, threads: int, sizes: Sizes, weights: np.ndarray, episodes: Sequence[int]) -> Explored:

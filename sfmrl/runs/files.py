@@ -169,7 +169,7 @@ def append_rows(path: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def read_table(path: Path) -> list[dict[str, str]]:
-    """The rows of a CSV file by heading; raises ValueError if a row does not fit the header, DamagedFile."""
+    """The rows of a CSV file by heading; raises ValueError if a row does not fit the header, and DamagedFile."""
     try:
         rows = list(csv.DictReader(io.StringIO(read_listed(path).decode(), newline="")))
     except csv.Error as error:

@@ -10,7 +10,7 @@ from sfmrl.actions import Policy
 from sfmrl.config import Config, Reinforcement
 from sfmrl.episodes import Record
 from sfmrl.evaluation import episode_rows, evaluation_record, metrics
-from sfmrl.fast import FastNetwork
+from sfmrl.fast import FastNetwork, new_network
 from sfmrl.imitation import Fit, demonstrate, fill_memory, fit_memory, make_memory
 from sfmrl.learning import Learner, Memory
 from sfmrl.lookahead import SarlPolicy
@@ -68,7 +68,7 @@ def run_reinforcement(run: Run, progress: Progress, stop: StopSignal, say: Say, 
     Raises Interrupted, with a checkpoint just written, once `stop` is requested.
     """
     config, settings = run.config, run.config.reinforcement
-    learner = begin(run, progress, stop, say)
+    learner = start_learner(run, progress, stop, say)
     for name, rows in (("metrics.csv", learner.rows), ("validation.csv", learner.validations)):
         write_text(run.folder / name, csv_text(rows))  # drop the rows that a killed run added after its checkpoint
     aside = settings.parallel > 1 and threads > 1
@@ -88,7 +88,7 @@ def run_reinforcement(run: Run, progress: Progress, stop: StopSignal, say: Say, 
     return result
 
 
-def begin(run: Run, progress: Progress, stop: StopSignal, say: Say) -> Learner:
+def start_learner(run: Run, progress: Progress, stop: StopSignal, say: Say) -> Learner:
     """Restore the learner from the newest checkpoint, or make a new one.
 
     A new learner's network comes from a weights file, from an imitation run, or is drawn at random. An imitation run
@@ -108,7 +108,7 @@ def begin(run: Run, progress: Progress, stop: StopSignal, say: Say) -> Learner:
             raise DamagedFile(f"{path} is not what this run began with any more; put it back, or start a new run")
         network, _ = load_weights(path)
     elif run.imitation is None:
-        network = Fit(config).network
+        network = new_network(config, config.seed)
     else:
         path = run.imitation / DEMONSTRATIONS
         if not path.exists() or read_sums(run.imitation).get(DEMONSTRATIONS) != run.facts["demonstrations"]:
@@ -128,7 +128,9 @@ def needs_fit(trained: Config, config: Config) -> bool:
 
     It must if the state differs and, where `refit` is on, if the reward, the discount or the fit's settings differ.
     """
-    names = ("forces", "value_prior") + ("discount", "reward", "imitation") * config.imitation.refit
+    names = ["forces", "value_prior"]
+    if config.imitation.refit:
+        names += ["discount", "reward", "imitation"]
     return any(getattr(trained, name) != getattr(config, name) for name in names)
 
 
@@ -160,7 +162,7 @@ def due(learner: Learner, settings: Reinforcement) -> bool:
 def validate(run: Run, learner: Learner, stop: StopSignal, say: Say, threads: int) -> None:
     """Play the validation episodes, add a row to validation.csv, and save the network if none before was better."""
     settings, policy = run.config.reinforcement, SarlPolicy(learner.network, run.config, threads)
-    rates = metrics(play(policy, "validation", settings.validation_episodes, stop.watch(no_progress)))
+    rates = metrics(play_evaluation(policy, "validation", settings.validation_episodes, stop.watch(no_progress)))
     row = {"episode": learner.episode} | {name: rates[name] for name in VALIDATED}
     if row["success"] >= max((old["success"] for old in learner.validations), default=0.0):
         save_weights(learner.network, run.config, run.folder / BEST)
@@ -174,16 +176,16 @@ def test(run: Run, learner: Learner, progress: Progress, threads: int) -> dict[s
     """Test the network alone and, if the config says so, with recovery; the metrics."""
     config, episodes = run.config, run.config.reinforcement.test_episodes
     alone = RememberingPolicy(learner.network, config, threads)
-    record = play(alone, "test", episodes, progress)
+    record = play_evaluation(alone, "test", episodes, progress)
     result = metrics(record)
     write_text(run.folder / "test.csv", csv_text(episode_rows(record)))
     if config.planner.recover:
         recovering = with_recovery(alone, config.planner)
-        result["with_recovery"] = metrics(play(recovering, "test", episodes, progress), recovering)
+        result["with_recovery"] = metrics(play_evaluation(recovering, "test", episodes, progress), recovering)
     return result
 
 
-def play(policy: Policy, phase: str, episodes: int, progress: Progress) -> Record:
+def play_evaluation(policy: Policy, phase: str, episodes: int, progress: Progress) -> Record:
     """Play validation or test episodes (`phase`), which are the same for every training seed."""
     with progress(phase, episodes) as advance:
         return evaluation_record(policy, episodes=episodes, seed=EVALUATION_SEED, phase=phase, progress=advance)

@@ -61,13 +61,14 @@ def social_values(record: Record) -> dict[str, np.ndarray]:
     force = repulsive_forces(-offset)
     change = np.nansum(length(np.diff(action, 2, axis=1)), axis=-1) / dt**2  # (E,) m/s^3, of all steps together
     work = length(resultant(force)) + np.nansum(length(force), axis=-1)
+    nearest = np.where(played, gap, np.inf).min(axis=1)  # m, infinite without people
     with np.errstate(invalid="ignore"):
         return {
             "danger_frequency": danger.sum(axis=1) / steps,
             "danger_separation": _ratio(np.where(danger, gap, 0.0).sum(axis=1), danger.sum(axis=1)),
             "path_length": path,
             "spl": _spl(record, path),
-            "min_gap": np.nan_to_num(np.where(played, gap, np.inf).min(axis=1), nan=np.nan, posinf=np.nan),
+            "min_gap": np.where(np.isfinite(nearest), nearest, np.nan),
             **{name: (played & (gap < zone)).sum(axis=1) / steps for name, zone in ZONES.items()},
             "min_ttc": _time_to_collision(offset, approach, reach[:, None]).min(axis=(1, 2), initial=LONGEST_TTC),
             "jerk": _ratio(change, np.maximum(steps - 2, 0)),

@@ -249,7 +249,7 @@ def figures(runs: Trained) -> Figures:
         "start_success": runs.validation[:, 0],
         "course_success": runs.validation.mean(axis=1),  # of all, that after imitation included
         "early_success": runs.validation[:, first].mean(axis=1) if first.any() else np.full(len(runs.seeds), np.nan),
-        "early_training_success": runs.training[:, : int(EARLY * runs.training.shape[1])].mean(axis=1),
+        "early_training_success": runs.training[:, : max(1, int(EARLY * runs.training.shape[1]))].mean(axis=1),
         "drops": np.maximum(-np.diff(runs.validation, axis=1), 0).mean(axis=1),  # 0 is steady
         "reached_episodes": until,
         "reached_steps": np.where(np.isnan(until), np.nan, (runs.steps * before).sum(axis=1)),
