@@ -1,4 +1,4 @@
-"""What a robot can do, and what chooses: the 81 actions, and the policies that `play` takes."""
+"""The robot's 81 actions, and the protocol of the policies that `play` takes."""
 
 from typing import Protocol
 
@@ -17,6 +17,7 @@ def _actions(headings: np.ndarray) -> np.ndarray:
 
 
 ACTIONS = _actions(np.arange(16) * (2 * np.pi / 16))  # CrowdNav's, of a holonomic robot
+ACTIONS.flags.writeable = False
 
 
 def robot_actions(world: World) -> np.ndarray:
@@ -39,6 +40,7 @@ class Policy(Protocol):
     An object may have more, which is then used:
     begin(scenes, simulation): called before the first step of every play, to prepare for its episodes
     explain(world, crowd_velocity): the call's actions and `Notes` on them, for records that keep these
+    attention(world): the share of attention that each element gets, (E, K), for replays
     batch: how many episodes to play side by side
     config: the `Config` that it was trained with, for the default settings of tests
     """

@@ -8,10 +8,10 @@ import numpy as np
 class Batch:
     """A dataclass of arrays (E, ...), of parts with a `take` of their own, and of settings that all episodes share."""
 
-    def take(self, rows: np.ndarray | slice | list[int]) -> Self:
-        """The same for some of the episodes, chosen by an index array, a mask or a slice."""
+    def take(self, rows: int | np.ndarray | slice | list[int]) -> Self:
+        """The same for some of the episodes, chosen by an index, an index array, a mask or a slice."""
         parts = vars(self)
-        index = np.arange(len(next(iter(parts.values()))))[rows]
+        index = np.atleast_1d(np.arange(len(next(iter(parts.values()))))[rows])
         return type(self)(**{name: _taken(part, index) for name, part in parts.items()})
 
 

@@ -55,9 +55,12 @@ class Record(Batch):
     notes: Notes = field(default_factory=dict)
     heading: np.ndarray | None = None
 
+    def __len__(self) -> int:
+        return len(self.steps)
+
     def __repr__(self) -> str:
         ends = ", ".join(f"{(self.outcome == end).sum()} {end}" for end in OUTCOMES[1:])
-        return f"Record({counted(len(self.steps), 'episode')}: {ends})"
+        return f"Record({counted(len(self), 'episode')}: {ends})"
 
     def _repr_html_(self) -> str:
         from sfmrl.replay.picture import record_html
@@ -66,7 +69,10 @@ class Record(Batch):
 
     @property
     def outcome(self) -> np.ndarray:
-        """How each episode ended, (E,): "success", "collision" or "timeout"."""
+        """How each episode ended, (E,) texts: "success", "collision" or "timeout".
+
+        The constants SUCCESS, COLLISION and TIMEOUT are for `transition.outcome`; no text equals any of them.
+        """
         return OUTCOMES[self.transition.outcome[np.arange(len(self.steps)), self.steps - 1]]
 
     @property
@@ -104,6 +110,7 @@ def play(
     policy: str | Policy,
     *,
     reward: str | Reward | OwnReward = "crowd",
+    simulation: Simulation | None = None,
     robot_visible: bool | None = None,
     safety_space: float | None = None,
     crowd: str | None = None,
@@ -120,19 +127,20 @@ def play(
     given a `Transition` and `Reward()` and returns an array, one number for each transition. `safety_space` (m) is
     added to every radius if ORCA drives the robot; `crowd` is "orca" or "sfm"; `discount` is per second at 1 m/s. If
     `kinematics` is "unicycle", the robot turns at most pi rad/s and drives ahead, whatever velocity the policy returns.
-    Where these and `robot_visible` are None, they are those of the policy's training, as are the simulation's other
-    settings (time step and limit, squares, ORCA's numbers); for a policy that was not trained, those of `Simulation()`.
+    Where these and `robot_visible` are None, they are those of `simulation`, as are all other settings (time step and
+    limit, squares, ORCA's numbers); by default, it is that of the policy's training, or else `Simulation()`.
 
     Raises ConfigError if an argument is none of these, and if a policy or reward returns anything else.
     """
     if not isinstance(scenes, Scenes):
         raise ConfigError(f"scenes is {kind(scenes)}; it takes Scenes, as sample_scenes('circle5', 100) makes them")
     chosen = find_policy(policy, reward)
-    own = config_of(chosen).simulation
+    own = config_of(chosen).simulation if simulation is None else simulation
     given = {"robot_visible": robot_visible, "safety_space": safety_space, "crowd": crowd, "kinematics": kinematics}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    simulation = replace(own, **changes)
-    return play_episodes(scenes, chosen, reward, simulation, discount=Config(discount=discount).discount)  # in range
+    return play_episodes(
+        scenes, chosen, reward, replace(own, **changes), discount=Config(discount=discount).discount
+    )  # in range
 
 
 def play_episodes(

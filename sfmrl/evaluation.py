@@ -49,9 +49,10 @@ def evaluation_record(
     """Play test episodes with a policy; `people` and `people_speed` as in `sample_scenes`.
 
     `environment`, `simulation`, `reward` and `discount` (the last two for the total reward) default to those of the
-    policy's training or, for a policy that was not trained, to table 1's mix and CrowdNav's. `progress` is called with
-    the number of episodes that have just ended. Raises ConfigError on unknown names, on less than one episode and on a
-    discount out of range.
+    policy's training or, for a policy that was not trained, to table 1's mix and CrowdNav's. A `simulation` replaces
+    all of the policy's settings: change one by `dataclasses.replace(policy.config.simulation, time_limit=40)`.
+    `progress` is called with the number of episodes that have just ended. Raises ConfigError on unknown names, on less
+    than one episode and on a discount out of range.
     """
     in_range("episodes", episodes, 1, MOST_EPISODES)
     chosen = find_policy(policy, reward)
@@ -73,12 +74,15 @@ def metrics(record: Record, policy: Policy | None = None) -> Metrics:
     `navigation_time` is the mean time of the successes in s (None without any); `total_reward` the mean discounted
     return. `failures` lists the episodes without success, and whether their squares leave a path to the goal, around
     their outlines. If `policy` has recovery and has just played the record, `recovered` is the rate of episodes in
-    which it was stuck. For a record without episodes, rates and means are None, and intervals are from 0 to 1.
+    which it was stuck. For a record without episodes, rates and means are None, and intervals are from 0 to 1. Raises
+    ValueError if `policy` has just played another number of episodes.
     """
     from sfmrl.recovery import RecoveringPolicy, solvable
 
     result = Metrics(_summary(record))
     if isinstance(policy, RecoveringPolicy):
+        if len(policy.helped) != len(record):
+            raise ValueError(f"the policy has just played {len(policy.helped)} episodes, the record has {len(record)}")
         result["recovered"] = _mean(policy.helped)
     names = np.unique(record.scenes.environment)
     if len(names) > 1:
@@ -135,7 +139,12 @@ def _mean(values: np.ndarray) -> float | None:
 
 
 def wilson(successes: int, trials: int, z: float = Z) -> tuple[float, float]:
-    """The Wilson score interval of a rate, 95 % by default (Wilson, 1927)."""
+    """The Wilson score interval of the rate `successes` / `trials`, 95 % by default (Wilson, 1927).
+
+    Raises ValueError unless both are whole numbers and 0 <= successes <= trials.
+    """
+    if successes != int(successes) or trials != int(trials) or not 0 <= successes <= trials:
+        raise ValueError(f"{successes} of {trials} is no count of successes; it takes two whole numbers, not a rate")
     if trials == 0:
         return 0.0, 1.0
     rate, spread = successes / trials, z * z / trials

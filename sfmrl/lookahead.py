@@ -38,13 +38,16 @@ class SarlPolicy:
     """Takes the action with the highest reward plus discounted value of the state after it; a `Policy`.
 
     `network` is a FastNetwork, or a ValueNetwork to make one of; `config` sets the reward, the discount and the state.
-    Blocks of episodes are spread over `threads` threads; the numbers do not depend on how.
+    Blocks of episodes are spread over `threads` threads; the numbers do not depend on how. Raises ConfigError if the
+    network reads other columns than the config's `forces` makes.
     """
 
     batch = 32  # episodes side by side: the network takes most of the time, which larger batches would not reduce
 
     def __init__(self, network, config: Config, threads: int = 1) -> None:
         self.network, self.config, self.threads = as_fast(network), config, threads
+        if self.network.forces != config.forces:
+            raise ConfigError(f"the config has forces {config.forces}, the network {self.network.forces}")
         self.trap_steps = int(config.careful)  # how many steps deep the traps are that it avoids
         self._terms = reward_terms(config.reward)
         self._pool = ThreadPoolExecutor(threads)

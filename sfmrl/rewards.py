@@ -49,7 +49,15 @@ class Transition(Batch):
 
     @property
     def separation(self) -> np.ndarray:
-        """Smallest gap to any element during the step, m (...); +inf without elements."""
+        """Smallest gap to any element during the step, m (...); +inf without elements.
+
+        Raises ValueError unless `separations` has one axis more than `outcome`.
+        """
+        gaps, steps = np.shape(self.separations), np.shape(self.outcome)
+        if gaps[:-1] != steps or not gaps:
+            raise ValueError(
+                f"separations has shape {gaps} and outcome {steps}; it must have one axis more, of elements"
+            )
         return self.separations.min(axis=-1, initial=np.inf)
 
     def __getitem__(self, index) -> "Transition":

@@ -73,7 +73,8 @@ def sfm_velocities(
     `position`, `velocity`, `preferred_velocity` (E, N, 2) in m and m/s; `max_speed` in m/s, `radius` in m and `square`
     broadcast to (E, N). Distances are between the surfaces of discs of `radius` and of squares of side 2 `radius`. The
     force is an acceleration (unit mass), constant for `time_step` s. Squares rest; absent agents (NaN position) exert
-    no force and return NaN. Raises ValueError for other shapes.
+    no force and return NaN. Raises ValueError for other shapes, and if a speed, radius or the time step is negative or
+    not finite.
     """
     position = vectors("position", position)
     if position.ndim != 3:
@@ -82,6 +83,10 @@ def sfm_velocities(
     velocity = broadcast("velocity", velocity, position.shape)
     preferred_velocity = broadcast("preferred_velocity", preferred_velocity, position.shape)
     max_speed, radius = broadcast("max_speed", max_speed, shape), broadcast("radius", radius, shape)
+    present = ~np.isnan(position).any(-1)
+    for name, values in {"max_speed": max_speed[present], "radius": radius[present], "time_step": time_step}.items():
+        if not (np.isfinite(values) & np.greater_equal(values, 0)).all():
+            raise ValueError(f"{name} must be finite and not below 0")
     squares: np.ndarray = broadcast("square", square, shape) != 0
     offset = position[:, :, None, :] - position[:, None, :, :]  # (E, N, N, 2), from the second to the first
     overlap = force.d + (radius[:, :, None] + radius[:, None]) - length(offset)

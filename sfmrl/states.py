@@ -47,7 +47,8 @@ def robot_states(
 
     The robot's `position`, `velocity`, `goal` (..., 2), `radius`, `v_pref` (...), and its `heading` (...) in rad if it
     is a unicycle; its elements' `element_position`, `element_velocity` (..., K, 2), `element_radius` (..., K); m and
-    m/s. An element with a NaN position is absent, its columns NaN. If K = 0, one absent element holds the robot's
+    m/s. An element with a NaN position is absent: place, distance
+    and force are NaN in its row. If K = 0, one absent element holds the robot's
     columns. Raises ValueError for other shapes.
     """
     position, velocity, goal = vectors("position", position), vectors("velocity", velocity), vectors("goal", goal)

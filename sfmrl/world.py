@@ -14,7 +14,7 @@ import numpy as np
 
 from sfmrl.batch import Batch
 from sfmrl.config import Simulation
-from sfmrl.geometry import closest_approach, direction, length, limit, square_gap, unit_at, wrapped
+from sfmrl.geometry import closest_approach, direction, length, limit, square_gap, unit_at, vectors, wrapped
 from sfmrl.orca import Edges, orca_velocities, polygon_edges
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenes import Scenes
@@ -35,7 +35,7 @@ class World(Batch):
     v_pref (E, N): m/s, highest speed
     preferred_speed (E, N): m/s, v_pref unless the scenes have their own
     square (E, N): bool, which rows are squares
-    edges: the squares' outlines, for ORCA
+    edges: the squares' outlines, for ORCA; they stay when a square is moved or made absent: change the scenes instead
     episode (E,): which row of the scenes each episode is
     simulation: time step, time limit and the crowd's model, a `Simulation`
     heading (E,): rad, where a unicycle robot points; None if the robot is holonomic
@@ -169,7 +169,12 @@ CROWDS = {"orca": orca_crowd, "sfm": sfm_crowd}
 
 
 def transition(world: World, action: np.ndarray) -> Transition:
-    """The step in which the robot moves with `action`, (E, 2) or many at once, (E, A, 2), in m/s."""
+    """The step in which the robot moves with `action`, (E, 2) or many at once, (E, A, 2), in m/s.
+
+    It is the robot's velocity: for a unicycle, pass what it can `drive`. Raises ValueError for other shapes, and unless
+    it is finite.
+    """
+    action = _checked(world, action)
     agents = (world.position, world.velocity, world.goal, world.radius, world.v_pref)
     robot, velocity, goal, radius, v_pref = (part[:, 0][_axes(action)] for part in agents)
     steps = world.steps[_axes(action)]
@@ -243,13 +248,24 @@ def turned_actions(actions: np.ndarray, before: World, after: World) -> np.ndarr
 def advance(world: World, velocity: np.ndarray, action: np.ndarray) -> World:
     """The world after a step with everybody's `velocity` (E, N, 2), except the robot's, `action` (E, 2), in m/s.
 
-    A unicycle robot drives the part of the action that it can (`drive`).
+    A unicycle robot drives the part of the action that it can (`drive`). Raises ValueError for other shapes, and if the
+    action is not finite.
     """
-    velocity = velocity.copy()
+    action, velocity = _checked(world, action), np.array(velocity, dtype=float)
     velocity[:, 0] = drive(world, action)
     position = world.position + velocity * world.simulation.time_step
     heading = turned(world, action)
     return replace(world, position=position, velocity=velocity, steps=world.steps + 1, heading=heading)
+
+
+def _checked(world: World, action: np.ndarray) -> np.ndarray:
+    """An action (E, 2) or (E, A, 2) as floats; raises ValueError for other shapes, and unless it is finite."""
+    action = vectors("action", action)
+    if action.ndim not in (2, 3) or len(action) != len(world):
+        raise ValueError(f"action must have shape ({len(world)}, 2) or ({len(world)}, A, 2), not {action.shape}")
+    if not np.isfinite(action).all():
+        raise ValueError("action is NaN or infinite; it must be a finite velocity in m/s")
+    return action
 
 
 def _axes(action: np.ndarray) -> tuple:

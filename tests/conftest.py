@@ -1,4 +1,4 @@
-"""What all tests share: the same examples on every run, the `sfmrl` command as a subprocess, and the data's place."""
+"""What all tests share: the same examples on every run, the `sfmrl` command, and the data's place."""
 
 import os
 import subprocess
@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+Call = Callable[..., subprocess.CompletedProcess]
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT / "tests" / "data"
 
@@ -42,7 +43,7 @@ class Interpreter(InteractiveConsole):
 
 
 @pytest.fixture
-def sfmrl(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess]:
+def sfmrl(tmp_path: Path) -> Call:
     """Call the command in a temporary folder: `sfmrl("eval", "orca")` -> code, stdout, stderr as text."""
 
     def call(*words: object, cwd: Path = tmp_path) -> subprocess.CompletedProcess:
@@ -52,3 +53,28 @@ def sfmrl(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess]:
         )
 
     return call
+
+
+@pytest.fixture
+def in_process(monkeypatch, capsys, tmp_path: Path) -> Call:
+    """The same command without a process of its own, for the many small errors; an unexpected one is raised here."""
+    from sfmrl.cli import main
+
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words: str) -> subprocess.CompletedProcess:
+        monkeypatch.setattr(sys, "argv", ["sfmrl", *words])
+        with pytest.raises(SystemExit) as end:
+            main()
+        return subprocess.CompletedProcess(words, end.value.code, *capsys.readouterr())
+
+    return call
+
+
+def assert_one_line_error(done: subprocess.CompletedProcess, *words: str) -> None:
+    """Wrong use: exit code 2, nothing on standard output, one line on standard error with all of `words` in it."""
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+    for word in words:
+        assert word in done.stderr

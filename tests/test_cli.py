@@ -21,11 +21,11 @@ import numpy as np
 import pytest
 import torch
 import typer
-from conftest import ROOT, environment
+from conftest import ROOT, Call, assert_one_line_error, environment
 from rich.console import Console
 
 from sfmrl import __version__, cli, config
-from sfmrl.cli import app, completion, main
+from sfmrl.cli import app, completion
 from sfmrl.cli.console import print_sheet
 from sfmrl.cli.train import on_run
 from sfmrl.config import Config, ConfigError, Reward, override
@@ -42,33 +42,9 @@ from sfmrl.sfm import SocialForce
 from sfmrl.study.sheets import Sheet
 from sfmrl.variants import MIXES, PRESETS, VARIANTS, make_config
 
-Call = Callable[..., subprocess.CompletedProcess]
 COMMANDS = typer.main.get_command(app).commands
 TINY_IL = ("--episodes", "6", "--epochs", "2")
 TINY_RL = ("--episodes", "4", "--parallel", "4", "--validation-episodes", "2", "--test-episodes", "4")
-
-
-@pytest.fixture
-def in_process(monkeypatch, capsys, tmp_path: Path) -> Call:
-    """The same command without a process of its own, for the many small errors; an unexpected one is raised here."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*words: str) -> subprocess.CompletedProcess:
-        monkeypatch.setattr(sys, "argv", ["sfmrl", *words])
-        with pytest.raises(SystemExit) as end:
-            main()
-        return subprocess.CompletedProcess(words, end.value.code, *capsys.readouterr())
-
-    return call
-
-
-def assert_one_line_error(done: subprocess.CompletedProcess, *words: str) -> None:
-    """Wrong use: exit code 2, nothing on standard output, one line on standard error with all of `words` in it."""
-    assert done.returncode == 2, done.stderr
-    assert done.stdout == ""
-    assert len(done.stderr.splitlines()) == 1, done.stderr
-    for word in words:
-        assert word in done.stderr
 
 
 def test_eval_measures_how_people_are_treated_only_where_it_is_asked_to(in_process, monkeypatch):

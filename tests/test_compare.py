@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 import scipy.stats
+from conftest import assert_one_line_error
 
 from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import evaluation_record
@@ -141,8 +142,5 @@ def test_all_total_rewards_have_the_first_policy_s_discount(sfmrl, tmp_path):
         (("orca", "linear", "--environment", "9"), "no environment"),
     ],
 )
-def test_wrong_use_is_one_line(sfmrl, words, said):
-    done = sfmrl("compare", *words)
-    assert done.returncode == 2
-    assert said in done.stderr
-    assert done.stderr.count("\n") == 1
+def test_wrong_use_is_one_line(in_process, words, said):
+    assert_one_line_error(in_process("compare", *words), said)

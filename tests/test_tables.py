@@ -13,6 +13,7 @@ import make_tables
 import numpy as np
 import pytest
 import scipy.stats
+from conftest import assert_one_line_error
 
 from sfmrl.cli import main
 from sfmrl.config import ConfigError, override
@@ -424,10 +425,8 @@ def test_the_figure_of_single_runs_has_the_interval_of_each_validation(sfmrl, tm
         (("mine", "mine/", "--csv", "f.csv"), "figure takes each run once"),
     ],
 )
-def test_a_figure_that_cannot_be_drawn_is_one_line(sfmrl, words, said):
-    done = sfmrl("figure", *words)
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert said in done.stderr
+def test_a_figure_that_cannot_be_drawn_is_one_line(in_process, words, said):
+    assert_one_line_error(in_process("figure", *words), said)
 
 
 def test_jobs_are_printed_as_commands(sfmrl):
@@ -450,11 +449,8 @@ def test_jobs_are_printed_as_commands(sfmrl):
         (("table", "1", "--csv", "t", "--markdown", "t"), "--csv and --markdown name the same file"),
     ],
 )
-def test_wrong_use_is_one_line(sfmrl, words, said):
-    done = sfmrl(*words)
-    assert done.returncode == 2
-    assert said in done.stderr
-    assert done.stderr.count("\n") == 1
+def test_wrong_use_is_one_line(in_process, words, said):
+    assert_one_line_error(in_process(*words), said)
 
 
 def test_the_ablation_changes_one_thing_at_a_time_and_pairs_seeds(tmp_path):

@@ -32,7 +32,7 @@ DIVERGED = np.errstate(over="ignore", invalid="ignore")  # callers check that va
 
 
 class FastNetwork:
-    """The value of robot-centred states (..., K, F), F = 13 or, with social forces, 17, as `ValueNetwork` defines it.
+    """The value of robot-centred states, F = 13 columns or, with social forces, 17, as `ValueNetwork` defines it.
 
     `parameters` are arrays by CrowdNav's names, with weights (out, in); the network keeps a copy. All are parts of one
     array, `flat`, and their gradients parts of `gradient`; in both, weights are (in, out).
@@ -62,8 +62,10 @@ class FastNetwork:
         return {name: np.ascontiguousarray(value.T) for name, value in self.parameters.items()}
 
     def load_state_dict(self, parameters: Parameters) -> None:
-        """Copy the parameters that `state_dict` returned into this network."""
+        """Copy the parameters that `state_dict` returned into this network; raises ValueError for other shapes."""
         for name, value in self.parameters.items():
+            if parameters[name].T.shape != value.shape:
+                raise ValueError(f"{name} has shape {parameters[name].shape}, not {value.T.shape}")
             value[...] = parameters[name].T
 
     def copy(self) -> "FastNetwork":

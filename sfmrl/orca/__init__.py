@@ -55,9 +55,9 @@ def orca_velocities(
     (E, N). An agent whose position is NaN is absent: it gets NaN and influences nobody. `polygons` (E, P, V, 2) in m or
     their `polygon_edges` stand still; a square is one of them, and has NaN where `position` has a row for it. ORCA
     looks for the velocity nearest to the preferred one, also where that is faster than max_speed. `agents` broadcasts
-    to (E, N) and selects those to compute, all by default; the others get NaN but are avoided. time_step and horizons
-    are in s, neighbor_distance in m. Raises ValueError for wrong shapes and polygons, and for numbers that are not
-    finite or out of range. A scene may lie anywhere, but its agents within a few kilometres: they are computed in
+    to (E, N) and is True for those to compute, all by default; the others get NaN but are avoided. time_step and
+    horizons are in s, neighbor_distance in m. Raises ValueError for wrong shapes and polygons, and for numbers that are
+    not finite or out of range. A scene may lie anywhere, but its agents within a few kilometres: they are computed in
     float32 relative to an origin near most of them.
     """
     position = numbers("position", position)
@@ -68,6 +68,8 @@ def orca_velocities(
     neighbor_distance = _positive("neighbor_distance", neighbor_distance, least=0.0, most=np.inf)
     if not isinstance(max_neighbors, Integral) or max_neighbors < 0:
         raise ValueError(f"max_neighbors is {max_neighbors!r}; it must be a whole number, 0 or more")
+    if agents is not None and np.asarray(agents).dtype != bool:
+        raise ValueError("agents must be True for the agents to compute, and False for the others")
     edges = _edges(polygons, position)
     planes, present = _planes(position, velocity, radius, max_speed, preferred_velocity, edges.origin)
     wanted = present if agents is None else present & (broadcast("agents", agents, position.shape[:2]) != 0).T

@@ -37,7 +37,7 @@ GRID_ERROR = 1.015  # no distance over a grid is longer than this, times the tru
 
 @dataclass(frozen=True)
 class Geodesics:
-    """Distances to the goal over the grids of E scenes.
+    """Distances to the goal over the grids of E scenes, weighted: see above for the cells near and in squares.
 
     values (E, Y, X): m, float32, +inf beyond a scene's own grid
     corner (E, 2): m, where the first cell's centre is
@@ -53,7 +53,7 @@ class Geodesics:
     resolution: float
 
     def at(self, scene: np.ndarray, position: np.ndarray) -> np.ndarray:
-        """Distances in m, (e, ...), from positions (e, ..., 2), whose first axis has the scenes (e,).
+        """Weighted distances in m, (e, ...), from positions (e, ..., 2), whose first axis has the scenes (e,).
 
         Interpolated between the centres of four free cells. If one of the four is not free, the path goes straight to
         the one from which it is shortest. From outside a grid, it first goes straight to the grid's edge.
@@ -76,7 +76,7 @@ class Geodesics:
         return np.where(free, mixed, shortest) + length(off) * self.resolution + self.beyond[scene]
 
 
-def plan(scenes: Scenes, planner: Planner, reach: np.ndarray | None = None) -> Geodesics:
+def plan(scenes: Scenes, planner: Planner = Planner(), reach: np.ndarray | None = None) -> Geodesics:
     """The distances to the robot's goal in every scene, around its squares.
 
     `reach` (E,) is how far the robot can go, in m; by default, as far as its goal. Raises ConfigError where the grids

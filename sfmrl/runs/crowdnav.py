@@ -120,7 +120,15 @@ def _check_shapes(arrays: Parameters) -> None:
 
 
 def export_weights(network: FastNetwork, path: Path) -> str:
-    """Write a network as a checkpoint that CrowdNav's SARL loads (.pth, torch's format); returns its SHA-256."""
+    """Write a network as a checkpoint that CrowdNav's SARL loads (.pth, torch's format); returns its SHA-256.
+
+    Raises ConfigError for a network with `value_prior`, which CrowdNav would play without.
+    """
+    if network.value_prior:
+        raise ConfigError(
+            "the network's value has a prior, without which CrowdNav would choose other actions; train one with "
+            "--no-value-prior"
+        )
     import torch
 
     buffer = io.BytesIO()

@@ -30,7 +30,13 @@ def weights_file(network: FastNetwork, config: Config) -> bytes:
 
 
 def save_weights(network: FastNetwork, config: Config, path: Path) -> str:
-    """Write a weights file (.npz) with a network and the config it was trained under; returns its SHA-256."""
+    """Write a weights file (.npz) with a network and the config it was trained under; returns its SHA-256.
+
+    Raises ConfigError if the config's `forces` or `value_prior` are not the network's.
+    """
+    for name in ("forces", "value_prior"):
+        if getattr(network, name) != getattr(config, name):
+            raise ConfigError(f"the config has {name} {getattr(config, name)}, the network {getattr(network, name)}")
     return write_atomically(Path(path), weights_file(network, config))
 
 

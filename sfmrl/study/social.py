@@ -18,7 +18,7 @@ MOVING = 1e-6  # m/s: a slower velocity has no direction
 
 # Each metric's definition, unit and source, as `--help` and the tutorials give them.
 SOCIAL_METRICS = {
-    "danger_frequency": "share of the steps with a gap below 0.2 m, without each episode's last step (CrowdNav)",
+    "danger_frequency": "share of the steps that have a gap below 0.2 m and are not an episode's last (CrowdNav)",
     "danger_separation": "mean gap in those steps, m (CrowdNav)",
     "path_length": "length of the robot's path, m",
     "spl": "success x shortest path around the squares' outlines / the longer of it and the path, both to the goal "
@@ -47,7 +47,10 @@ def social_metrics(record: Record) -> dict[str, float | None]:
 
 
 def social_values(record: Record) -> dict[str, np.ndarray]:
-    """Every one of `SOCIAL_METRICS` by episode, (E,); NaN where an episode has nothing to measure."""
+    """Every one of `SOCIAL_METRICS` by episode, (E,); NaN where an episode has nothing to measure.
+
+    Without people, gaps and times to collision are NaN, but shares of steps and social work are 0.
+    """
     if not len(record.steps):
         return {name: np.zeros(0) for name in SOCIAL_METRICS}
     dt, steps, played = record.simulation.time_step, record.steps, record.played
@@ -62,6 +65,7 @@ def social_values(record: Record) -> dict[str, np.ndarray]:
     change = np.nansum(length(np.diff(action, 2, axis=1)), axis=-1) / dt**2  # (E,) m/s^3, of all steps together
     work = length(resultant(force)) + np.nansum(length(force), axis=-1)
     nearest = np.where(played, gap, np.inf).min(axis=1)  # m, infinite without people
+    soonest = _time_to_collision(offset, approach, reach[:, None]).min(axis=(1, 2), initial=LONGEST_TTC)
     with np.errstate(invalid="ignore"):
         return {
             "danger_frequency": danger.sum(axis=1) / steps,
@@ -70,7 +74,7 @@ def social_values(record: Record) -> dict[str, np.ndarray]:
             "spl": _spl(record, path),
             "min_gap": np.where(np.isfinite(nearest), nearest, np.nan),
             **{name: (played & (gap < zone)).sum(axis=1) / steps for name, zone in ZONES.items()},
-            "min_ttc": _time_to_collision(offset, approach, reach[:, None]).min(axis=(1, 2), initial=LONGEST_TTC),
+            "min_ttc": np.where(np.isfinite(nearest), soonest, np.nan),
             "jerk": _ratio(change, np.maximum(steps - 2, 0)),
             "heading_change": _turned(action),
             "social_work": np.where(played, work, 0.0).sum(axis=1) * dt,
