@@ -4,7 +4,9 @@ from typing import Protocol
 
 import numpy as np
 
+from sfmrl.config import ConfigError
 from sfmrl.geometry import unit_at
+from sfmrl.own_code import name_of
 from sfmrl.world import TURN_RATE, World
 
 
@@ -50,6 +52,14 @@ class Policy(Protocol):
 
 
 def explained(policy: Policy, world: World, crowd_velocity: np.ndarray) -> tuple[np.ndarray, Notes]:
-    """A policy's actions (E, 2) in m/s and its notes on them, none if it cannot `explain`."""
+    """A policy's actions (E, 2) in m/s and its notes on them, none if it cannot `explain`.
+
+    Raises ConfigError if it explains anything else.
+    """
     explain = getattr(policy, "explain", None)
-    return explain(world, crowd_velocity) if explain else (policy(world, crowd_velocity), {})
+    if not explain:
+        return policy(world, crowd_velocity), {}
+    said = explain(world, crowd_velocity)
+    if not (isinstance(said, tuple) and len(said) == 2 and isinstance(said[1], dict)):
+        raise ConfigError(f"explain of policy {name_of(policy)} must return its actions, and notes by name (a dict)")
+    return said

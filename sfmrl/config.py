@@ -249,6 +249,20 @@ def override(config: Any, changes: Mapping[str, Any]) -> Any:
     return replace(config, **values)
 
 
+def as_options(settings: dict[str, Any]) -> list[str]:
+    """Settings, nested as `override` takes them, as the words to type."""
+    words = []
+    for name, value in settings.items():
+        flag = name.replace("_", "-")
+        if isinstance(value, dict):
+            words += as_options(value)
+        elif isinstance(value, bool):
+            words.append(f"--{flag}" if value else f"--no-{flag}")
+        else:
+            words += [f"--{flag}", str(value)]
+    return words
+
+
 def json_object(text: str | bytes) -> dict[str, Any]:
     """The object that a JSON text holds; raises ValueError if it holds none."""
     try:

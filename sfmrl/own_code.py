@@ -8,10 +8,13 @@ import hashlib
 import importlib
 import runpy
 import shlex
+import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import is_dataclass, replace
 from functools import partial
+from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +30,12 @@ HINTS = {  # what to change in a user's function, by a part of the error that it
     "truth value of an array": "it is given whole arrays: choose with numpy.where or numpy.select instead of if",
 }
 
-ARGUMENTS = {"reward": "(transition, settings)", "policy": "(world, crowd_velocity)"}
+ARGUMENTS = {
+    "reward": "(transition, settings)",
+    "policy": "(world, crowd_velocity)",
+    "explain": "(world, crowd_velocity)",
+    "begin": "(scenes, simulation)",
+}
 
 
 class UntrustedReward(ConfigError):
@@ -115,16 +123,17 @@ class OwnPolicy:
         return f"OwnPolicy({self.__name__})"
 
     def __call__(self, world: Any, crowd_velocity: np.ndarray) -> Any:
-        return self._run(self.own, world, crowd_velocity)
+        return self._run("policy", self.own, world, crowd_velocity)
 
     def __getattr__(self, name: str) -> Any:
         if name == "own":  # copy.copy() asks before __init__ has run
             raise AttributeError(name)
         part = getattr(self.own, name)
-        return partial(self._run, part) if name in ("begin", "explain") else part
+        return partial(self._run, name, part) if name in ("begin", "explain") else part
 
-    def _run(self, function: Callable, *arguments: Any) -> Any:
-        return guarded(f"policy {self.__name__}", "failed", self._file, lambda: function(*arguments))
+    def _run(self, what: str, function: Callable, *arguments: Any) -> Any:
+        who = f"policy {self.__name__}" if what == "policy" else f"{what} of policy {self.__name__}"
+        return guarded(who, "failed", self._file, lambda: function(*arguments))
 
 
 def names_code(name: str) -> bool:
@@ -153,17 +162,39 @@ def load(name: str, what: str = "reward") -> Callable:
     place, _, function = name.rpartition(":")
     file = _file(name, what)
     run = runpy.run_path if file else lambda module: vars(importlib.import_module(module))
-    known = guarded(f"{what} {name}", "cannot be imported", file, lambda: run(file or place))
+    with _importable(Path(file).parent if file else None):
+        known = guarded(f"{what} {name}", "cannot be imported", file, lambda: run(file or place))
     if not callable(known.get(function)):
         raise ConfigError(f"{what} {name}: {place} has no function {function!r}{suggest(function, known)}")
     return known[function]
 
 
+@contextmanager
+def _importable(folder: Path | None) -> Iterator[None]:
+    """Let a user's file import those beside it, as `python file.py` does."""
+    if folder:
+        sys.path.insert(0, str(folder.resolve()))
+    try:
+        yield
+    finally:
+        if folder:
+            sys.path.remove(str(folder.resolve()))
+
+
 def trusted(config: Config, trust: bool | str) -> Config:
-    """The config, its reward allowed to be run if `trust` is True or names the same reward."""
+    """The config, its reward allowed to be run if `trust` is True or names the same reward.
+
+    The same is also a function of this name in another file, if the config's file is not there any more.
+    """
     name = config.reward.reward
-    named = type(trust) is str and absolute(trust) == absolute(name)  # not Untrusted, which only a file names
-    return override(config, {"reward": {"reward": str(name)}}) if trust is True or named else config
+    if trust is True:
+        return override(config, {"reward": {"reward": str(name)}})
+    if type(trust) is not str:  # also Untrusted, which only a file names
+        return config
+    place, _, function = name.rpartition(":")
+    moved = place.endswith(".py") and not Path(place).is_file() and trust.rpartition(":")[2] == function
+    same = moved or absolute(trust) == absolute(name)
+    return override(config, {"reward": {"reward": trust if moved else str(name)}}) if same else config
 
 
 def absolute(name: str) -> str:
@@ -174,8 +205,19 @@ def absolute(name: str) -> str:
 
 def code_digest(name: str) -> str | None:
     """The SHA-256 of the file that a name of Python code names; None without one. Raises ConfigError if missing."""
-    file = _file(name)
+    file = _file(name) or _module_file(name.rpartition(":")[0])
     return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else None
+
+
+def _module_file(module: str) -> str:
+    """The file of a module that can be imported, "" if there is none; runs no code, not even of its packages."""
+    parts, place, file = module.split("."), None, ""
+    for count in range(1, len(parts) + 1):
+        spec = PathFinder.find_spec(".".join(parts[:count]), place)
+        if spec is None:
+            return ""
+        place, file = spec.submodule_search_locations, spec.origin or ""
+    return file if Path(file).is_file() else ""
 
 
 def _file(name: str, what: str = "reward") -> str:
@@ -184,5 +226,6 @@ def _file(name: str, what: str = "reward") -> str:
     if not place.endswith(".py"):
         return ""
     if not Path(place).is_file():
-        raise ConfigError(f"{what} {name}: there is no file {place}; put it there, or write its path as seen from here")
+        remedy = "write its path as seen from here" if what == "policy" else "give the path that it has now by --reward"
+        raise ConfigError(f"{what} {name}: there is no file {place}; put it there, or {remedy}")
     return place

@@ -1,7 +1,7 @@
 """What commands share: the options of those that play test episodes, and what to type next."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Any
 from sfmrl.cli import completion, options
 from sfmrl.cli.console import err, say
 from sfmrl.cli.options import number_option, option
-from sfmrl.config import LARGEST_SEED, Config, ConfigError, Simulation, counted, override
+from sfmrl.config import LARGEST_SEED, Config, ConfigError, Planner, Simulation, as_options, counted, override
 from sfmrl.runs.folders import newest_run
 from sfmrl.variants import MIXES
 
@@ -20,6 +20,12 @@ def exclude(given: dict[str, Any]) -> None:
     flags = [flag for flag, value in given.items() if value is not None and value is not False]
     if len(flags) > 1:
         raise ConfigError(f"{' and '.join(flags)} exclude each other; leave out one of them")
+
+
+def check_planner(planner: Planner, given: Iterable[str]) -> None:
+    """Raise ConfigError if a setting of recovery is `given` where there is none."""
+    if not planner.recover and (needless := [name for name in given if name != "recover"]):
+        raise ConfigError(f"--{needless[0].replace('_', '-')} changes nothing without recovery; add --recover")
 
 
 def say_differing_settings(path: Path, config: Config) -> None:
@@ -83,8 +89,10 @@ class TestOptions:
         crowd["random_attributes"] = config.simulation.random_attributes
         return sample_scenes(environment, [episode], self.seed, **crowd)
 
-    def choose(self, policy: str | None, settings: dict[str, Any]) -> tuple[Any, str, Config]:
+    def choose(self, policy: str | None, settings: dict[str, Any], *, judges: bool = True) -> tuple[Any, str, Config]:
         """Return the policy, by default the newest finished run, its name, and its config with settings changed.
+
+        Of several policies, the first one's reward `judges` all.
 
         The reward that a network looks ahead with is run if it is sfmrl's, if --reward names it, or with
         --trust-reward.
@@ -101,10 +109,19 @@ class TestOptions:
         trust = self.trust_reward or settings.get("reward", {}).get("reward", False)
         chosen = load_policy(name, self.threads, trust_reward=trust)
         config = override(config_of(chosen), settings)
-        check_read(config.reward, settings.get("reward", {}))
+        if judges:
+            check_read(config.reward, settings.get("reward", {}))
+            check_planner(config.planner, settings.get("planner", {}))
         if name not in (*POLICIES, *model_names()) and not names_code(name):
             say_differing_settings(find_weights(name), config)
         return with_recovery(chosen, config.planner), name, config
+
+    def choose_all(
+        self, policies: Sequence[str | None], settings: dict[str, Any]
+    ) -> tuple[list[Any], list[str], Config]:
+        """Return policies, their names, and the first one's config, as `choose` does."""
+        chosen = [self.choose(policy, settings, judges=not number) for number, policy in enumerate(policies)]
+        return [policy for policy, _, _ in chosen], [name for _, name, _ in chosen], chosen[0][2]
 
     def play(self, policies: Sequence[Any], config: Config, episodes: int, settings: dict[str, Any]) -> list[Any]:
         """Return the records of policies that play the same test episodes.
@@ -168,17 +185,3 @@ def code_facts(policies: list[str]) -> dict[str, Any]:
 
     digests = {name: code_digest(name) for name in policies if names_code(name)}
     return {"sha256": digests} if digests else {}
-
-
-def as_options(settings: dict[str, Any]) -> list[str]:
-    """Return settings, nested as `config.override` takes them, as the words to type."""
-    words = []
-    for name, value in settings.items():
-        flag = name.replace("_", "-")
-        if isinstance(value, dict):
-            words += as_options(value)
-        elif isinstance(value, bool):
-            words.append(f"--{flag}" if value else f"--no-{flag}")
-        else:
-            words += [f"--{flag}", str(value)]
-    return words

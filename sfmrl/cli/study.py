@@ -50,9 +50,12 @@ class Selection:
         runs = self.of_each_row(read_row, number)
         if not any(runs.values()):
             raise ConfigError(
-                f"{self.folder} holds no finished run of table {number}, {self.preset} preset; "
-                f"type sfmrl table {number} --preset {self.preset}, or name another --folder"
+                f"{self.folder} holds no finished run of table {number}, {self.preset} preset, with these options; "
+                f"give the same ones to sfmrl table {number}, which trains, or name another --folder"
             )
+        wanted = len(runs) * len(self.rows_and_seeds(number)[1])
+        if missing := wanted - sum(len(trained.seeds) for trained in runs.values() if trained):
+            say(f"{missing} of {wanted} trainings are not finished, and left out")
         return {row: trained for row, trained in runs.items() if trained}
 
 
@@ -87,10 +90,7 @@ def table(
     if not no_train:
         selection.of_each_row(finished_runs, number)  # raises ConfigError now, not after hours
         _train(trainings, on, jobs)
-    runs, wanted = selection.finished(number), len(rows) * len(seeds)
-    if missing := wanted - sum(len(trained.seeds) for trained in runs.values()):
-        say(f"{missing} of {wanted} trainings are not finished, and left out")
-    _report(number, selection.preset, runs, as_json, csv, markdown)
+    _report(number, selection.preset, selection.finished(number), as_json, csv, markdown)
 
 
 def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:

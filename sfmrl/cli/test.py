@@ -83,7 +83,7 @@ def compare(
     if len(policies) < 2 or len(set(policies)) < len(policies):
         raise ConfigError(f"compare takes two or more different policies; it got {', '.join(policies)}")
     check_new_files(test.overwrite, csv=csv)
-    chosen, _, (config, *_) = zip(*(test.choose(policy, settings) for policy in policies), strict=True)
+    chosen, _, config = test.choose_all(policies, settings)
     records = test.play(chosen, config, episodes, settings)
     comparison = compare_records(records, chosen, policies)
     if csv:
@@ -92,7 +92,9 @@ def compare(
         what = code_facts(policies) | {"environment": test.where(config), "seed": test.seed}
         say_json(what | test.crowd | comparison)
         return
-    for sheet in comparison_sheets(comparison, test.title(config, episodes)) + [social_sheet(comparison)] * social:
+    recovering = [row["policy"] for row in comparison["policies"] if "recovered" in row]
+    title = test.title(config, episodes) + (f"\nwith recovery: {', '.join(recovering)}" if recovering else "")
+    for sheet in comparison_sheets(comparison, title) + [social_sheet(comparison)] * social:
         print_sheet(sheet)
     if comparison["differing"]:
         episode, versus = _first_difference(comparison["differing"][0], policies)

@@ -9,8 +9,8 @@ from typing import Any, cast
 from sfmrl.cli import completion, options
 from sfmrl.cli.console import err, print_metrics, say
 from sfmrl.cli.options import command, option
-from sfmrl.cli.session import as_options, drawn, exclude, say_differing_settings
-from sfmrl.config import Config, ConfigError, override
+from sfmrl.cli.session import check_planner, drawn, exclude, say_differing_settings
+from sfmrl.config import Config, ConfigError, as_options, override
 from sfmrl.runs.files import read_regular
 from sfmrl.runs.folders import as_words, finished
 from sfmrl.variants import PRESETS, VARIANTS, make_config
@@ -75,6 +75,7 @@ class TrainingOptions:
                     config = override(config, _values(named, entry))
         config = override(config, settings)
         check_read(config.reward, settings.get("reward", {}))
+        check_planner(config.planner, settings.get("planner", {}))
         return config
 
 
@@ -102,7 +103,9 @@ def il(variant: str | None = VARIANT, *, settings: dict[str, Any], training: Tra
     plain, made = asdict(Config()), asdict(run.config)
     needed = {name: made[name] for name in ("preset", "seed") if made[name] != plain[name]}
     needed |= {name: value for name, value in made["simulation"].items() if value != plain["simulation"][name]}
-    following = ["sfmrl", "rl", "--reward", "sfm", "--from", str(run.folder), *as_options(needed)]
+    named = run.facts["variant"] in VARIANTS and run.facts["variant"] != "sarl"
+    which = ["--variant", run.facts["variant"]] if named else ["--reward", "sfm", *["--forces"] * run.config.forces]
+    following = ["sfmrl", "rl", *which, "--from", str(run.folder), *as_options(needed)]
     say(f"done: {run.folder}; next: {shlex.join(following)}, or {on_run('eval', run)}")
 
 
@@ -164,13 +167,26 @@ def _new_config(
 
 
 def _say_start(run: Any) -> None:
-    """Say what a reinforcement starts from."""
+    """Say what a reinforcement starts from, and what changes for a network that was trained on another task."""
+    from sfmrl.runs.weights import load_weights
+
     if run.imitation:
         say(f"from imitation run {run.imitation}")
     if weights := run.facts.get("weights"):
         prior = "with" if run.config.value_prior else "without"
         say(f"from the network in {weights['file']}, {prior} value-prior as there")
         say_differing_settings(Path(weights["file"]), run.config)
+        if (path := Path(weights["file"])).is_file():  # it may be gone when the training goes on
+            theirs, ours = _task(load_weights(path)[1]), _task(run.config)
+            changed = [name for name in theirs if theirs[name] != ours[name]]
+            before, now = (shlex.join(as_options({name: task[name] for name in changed})) for task in (theirs, ours))
+            if changed:
+                say(f"it was trained with {before}, and goes on with {now}")
+
+
+def _task(config: Config) -> dict[str, Any]:
+    """Return the settings that decide what a robot has to learn: its reward's name, and the simulation."""
+    return {"reward": config.reward.reward} | asdict(config.simulation)
 
 
 def on_run(command: str, run: Any) -> str:

@@ -75,7 +75,8 @@ def ascii_render(
     """Replay a test episode in the terminal, or write it to files."""
     look.check(test.overwrite)
     exclude({"--scenes": scenes, "--draw": draw})
-    unplayed = {"--svg": look.svg, "--cast": look.cast, "--versus": versus, f"the policy {policy}": policy}
+    unplayed = {"--svg": look.svg, "--cast": look.cast, "--frames": look.frames, "--at": look.at, "--versus": versus}
+    unplayed[f"the policy {policy}"] = policy
     if (scenes or draw) and (needless := [flag for flag, value in unplayed.items() if value]):
         raise ConfigError(f"{'--scenes' if scenes else '--draw'} plays nothing; leave out {needless[0]}")
     room, config = look.room(), override(Config(), settings)
@@ -122,7 +123,7 @@ def _replay(
     from sfmrl.replay.frames import Replay
     from sfmrl.replay.story import make_story
 
-    policies, named, (config, *_) = zip(*(test.choose(name, settings) for name in names), strict=True)
+    policies, named, config = test.choose_all(names, settings)
     scene = test.scene(test.where(config), episode, config)
     if reason := why_unsolvable(scene, config.simulation.time_limit):
         say(reason)
@@ -133,7 +134,7 @@ def _replay(
         stories.append(make_story(record, policy, config.reward, config.discount))
     labels = tuple(Path(name).name for name in named)
     differ = len(set(labels)) == len(labels)  # they do not if runs in two folders have the same name
-    return Replay(tuple(stories), labels if differ else named, ascii_only=ascii_only)
+    return Replay(tuple(stories), labels if differ else tuple(named), ascii_only=ascii_only)
 
 
 def _show(replay: Any, look: Look, room: tuple[int, int]) -> None:

@@ -4,23 +4,26 @@ import json
 import os
 import shlex
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 from typing import Any
 
-from sfmrl.config import Config, ConfigError
+import numpy as np
+
+from sfmrl.config import Config, ConfigError, as_options
 from sfmrl.own_code import code_digest
 from sfmrl.rewards import reward_terms
 from sfmrl.runs.bits import versions
-from sfmrl.runs.files import SUMS, DamagedFile, digest_of, read_sums, write_together
+from sfmrl.runs.files import SUMS, DamagedFile, digest_of, read_checked, read_sums, sha256, write_together
 from sfmrl.runs.folders import (
     DEMONSTRATIONS,
     FIRST,
     LOCK,
     MAP,
     RUNS,
+    WEIGHTS,
     as_words,
     files_of_run,
     finished,
@@ -33,9 +36,10 @@ from sfmrl.runs.folders import (
 )
 from sfmrl.runs.run import Run, open_run
 from sfmrl.runs.weights import find_weights, load_weights, model_names
-from sfmrl.scenes import DRAWN, parse_mix
+from sfmrl.scenes import DRAWN, parse_mix, sample_scenes
 from sfmrl.states import column_names
 from sfmrl.variants import variant_name
+from sfmrl.world import reset, transition
 
 
 def create_run(  # type: ignore[return]  # its loop over count(1) ends by a return alone
@@ -84,11 +88,11 @@ def create_run(  # type: ignore[return]  # its loop over count(1) ends by a retu
 
 
 def check_names(config: Config) -> None:
-    """Raise ConfigError if the config names an environment or a reward that does not exist."""
+    """Raise ConfigError if the config names an environment or a reward that does not exist, or a reward that fails."""
     schedule = config.reinforcement
     for environment in (config.imitation.environment, schedule.environment, schedule.test_environment):
         parse_mix(environment)
-    reward_terms(config.reward)
+    reward_terms(config.reward)(transition(reset(sample_scenes("1", 2), config.simulation), np.zeros((2, 2))))
 
 
 def _make(folder: Path, files: dict[str, str], overwrite: bool) -> None:
@@ -170,6 +174,8 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
         return _started(config, source, from_scratch, folder)
     if from_scratch:
         return create_run("rl", config, folder, **existing)
+    if source is not None and folder is not None and folder.resolve() in (source.resolve(), source.resolve().parent):
+        raise ConfigError(f"{source} is to start from, and {folder} to be written; name another --run")
     if source is not None and source.is_file():
         config, weights = _start_from_weights(config, source)
         return create_run("rl", config, folder, **existing, weights=weights)
@@ -179,10 +185,8 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
         raise ConfigError(unfinished(source))
     if imitation.config.simulation != config.simulation:
         raise ConfigError(f"the demonstrations of {source} come from another simulation; name another --from")
-    if folder is not None and folder.resolve() == source.resolve():
-        raise ConfigError(f"{folder} is the imitation run to start from; name another --run")
     config = replace(config, imitation=imitation.config.imitation)
-    demonstrations = read_sums(source)[DEMONSTRATIONS]
+    demonstrations, _ = (sha256(read_checked(source / name)) for name in (DEMONSTRATIONS, WEIGHTS))
     return create_run("rl", config, folder, source, **existing, demonstrations=demonstrations)
 
 
@@ -221,8 +225,10 @@ def _newest_fitting(config: Config) -> Path:
             continue
         if all(getattr(made, name) == getattr(config, name) for name in ("preset", "seed", "simulation")):
             return folder
-    flags = f"--preset {config.preset} --seed {config.seed}"
+    plain = asdict(Config().simulation)
+    simulation = {name: value for name, value in asdict(config.simulation).items() if value != plain[name]}
+    flags = shlex.join(as_options({"preset": config.preset, "seed": config.seed} | simulation))
     raise ConfigError(
-        f"no finished imitation run fits ({flags}, same simulation): type sfmrl il {flags}, "
-        "name a run with --from, or do without with --from-scratch"
+        f"no finished imitation run fits ({flags}): type sfmrl il {flags}, name a run with --from, or do without with "
+        "--from-scratch"
     )

@@ -23,6 +23,7 @@ BEST = "best.npz"  # the network of the best validation
 DEMONSTRATIONS = "demonstrations.npz"
 MAP = "map.txt"  # the map, if the run trains on one
 TABLES = ("metrics.csv", "validation.csv", "test.csv", "result.json")
+TESTED = {"validation.csv", "test.csv", "result.json", BEST, "best.pt"}  # what an imitation run does not have
 LOCK = ".lock"  # locked by the process that trains the run
 CHECKPOINT = re.compile(r"checkpoint-\d{6}\.npz")
 FIRST = ("config.json", MAP, "run.json")  # files of a new run, in this order: run.json makes a folder a run
@@ -124,7 +125,8 @@ def in_training(folder: Path) -> bool:
 def files_of_run(folder: Path) -> list[Path]:
     """The files in a folder that have the names of a run's files, or of its temporary files."""
     names = {path: TEMPORARY.sub(r"\1", path.name) for path in folder.iterdir()}
-    return [path for path, name in names.items() if name in WRITTEN or CHECKPOINT.fullmatch(name)]
+    written = WRITTEN - TESTED if kind_of(folder) == "il" else WRITTEN
+    return [path for path, name in names.items() if name in written or CHECKPOINT.fullmatch(name)]
 
 
 def leftovers(folder: Path) -> list[Path]:

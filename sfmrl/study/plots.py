@@ -32,13 +32,16 @@ def validation_figure(lines: list[dict[str, Any]], title: str) -> Figure:
     for name in dict.fromkeys(line["row"] for line in lines):
         course = [line for line in lines if line["row"] == name]
         episodes, mean, low, high = ([line[key] for line in course] for key in ("episode", "mean", "low", "high"))
-        (curve,) = axes.plot(episodes, mean, marker="o", markersize=3, label=name)
+        (curve,) = axes.plot(episodes, mean, marker="o", markersize=3)
         if None not in low:
             axes.fill_between(episodes, low, high, color=curve.get_color(), alpha=0.15, linewidth=0)
     axes.set(xlabel="training episodes", ylabel="success in validation", title=title)
     axes.set_ylim(top=1.005)
     axes.grid(alpha=0.3)
-    axes.legend(loc="lower right")
+    curves = axes.get_lines()
+    legend = axes.legend(curves, list(dict.fromkeys(line["row"] for line in lines)), loc="lower right")
+    for text in legend.get_texts():
+        text.set_parse_math(False)  # names of folders may have any signs
     return figure
 
 
@@ -95,12 +98,12 @@ def draw_episode(record: Record, path: Path) -> None:
         return
     if path.suffix == ".mp4" and not FFMpegWriter.isAvailable():
         raise ConfigError("films as .mp4 need the program ffmpeg; install it, or choose .gif or .html")
-    moving, rate = film(record), round(1 / record.simulation.time_step)
+    moving = film(record)
     if path.suffix == ".html":
-        data = moving.to_jshtml(fps=rate).encode()
+        data = moving.to_jshtml().encode()
     else:
         with tempfile.TemporaryDirectory() as folder:
-            moving.save(Path(folder) / path.name, writer="pillow" if path.suffix == ".gif" else "ffmpeg", fps=rate)
+            moving.save(Path(folder) / path.name, writer="pillow" if path.suffix == ".gif" else "ffmpeg")
             data = (Path(folder) / path.name).read_bytes()
     write_atomically(path, data, checked=False)
 

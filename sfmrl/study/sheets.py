@@ -92,7 +92,7 @@ def sheets(summary: list[dict[str, Any]], contrasts: list[dict[str, Any]], title
     pages = {
         f"{title}; 95 % intervals over seeds (Student's t)": [_rates(row) for row in summary],
         "Success of every seed; Wilson: the 95 % interval of a network with the mean success": [
-            _points(row, named) for row in summary
+            _points(row, seeds, named) for row in summary
         ],
         f"Time with time-outs as 25 s, without collisions; training until validation success 0.9{training}": course,
         "Differences from SARL, paired by seed": [_difference(row) for row in summary if row["difference"]],
@@ -118,13 +118,14 @@ def _rates(row: dict[str, Any]) -> dict[str, str]:
     }
 
 
-def _points(row: dict[str, Any], seeds: str) -> dict[str, str]:
+def _points(row: dict[str, Any], seeds: list[int], named: str) -> dict[str, str]:
     success = row["figures"]["success"]
+    of_seed = dict(zip(row["seeds"], success["values"], strict=True))
     return {
         "row": row["row"],
         "sd": rate(success["deviation"]),
         "Wilson": "-".join(map(rate, row["wilson_of_mean"])),
-        f"seeds {seeds}": " ".join(map(rate, success["values"])),
+        f"seeds {named}": " ".join(rate(of_seed.get(seed)) for seed in seeds),
     }
 
 
