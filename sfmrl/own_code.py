@@ -10,8 +10,7 @@ import runpy
 import shlex
 import sys
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import is_dataclass, replace
 from functools import partial
 from importlib.machinery import PathFinder
@@ -162,23 +161,12 @@ def load(name: str, what: str = "reward") -> Callable:
     place, _, function = name.rpartition(":")
     file = _file(name, what)
     run = runpy.run_path if file else lambda module: vars(importlib.import_module(module))
-    with _importable(Path(file).parent if file else None):
-        known = guarded(f"{what} {name}", "cannot be imported", file, lambda: run(file or place))
+    if file and (folder := str(Path(file).parent.resolve())) not in sys.path:
+        sys.path.append(folder)  # so that the file can import what stands beside it
+    known = guarded(f"{what} {name}", "cannot be imported", file, lambda: run(file or place))
     if not callable(known.get(function)):
         raise ConfigError(f"{what} {name}: {place} has no function {function!r}{suggest(function, known)}")
     return known[function]
-
-
-@contextmanager
-def _importable(folder: Path | None) -> Iterator[None]:
-    """Let a user's file import those beside it, as `python file.py` does."""
-    if folder:
-        sys.path.insert(0, str(folder.resolve()))
-    try:
-        yield
-    finally:
-        if folder:
-            sys.path.remove(str(folder.resolve()))
 
 
 def trusted(config: Config, trust: bool | str) -> Config:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from sfmrl.config import Config, ConfigError
+from sfmrl.variants import make_config
 
 
 def test_a_config_comes_back_from_its_json():
@@ -18,3 +19,16 @@ def test_a_config_of_an_earlier_version_is_refused_with_the_version_that_plays_i
     older = json.loads(Config().to_json()) | setting
     with pytest.raises(ConfigError, match=r"made by a version of sfmrl before 0.3.0; install that version"):
         Config.from_json(json.dumps(older))
+
+
+def test_the_paper_s_preset_has_the_published_numbers():
+    config = make_config("paper")
+    il, rl = config.imitation, config.reinforcement
+    assert (il.episodes, il.epochs, il.batch_size, il.learning_rate, il.refit) == (3000, 50, 100, 0.01, True)
+    assert (rl.episodes, rl.parallel, rl.batches, rl.batch_size, rl.learning_rate) == (10_000, 1, 100, 100, 0.001)
+    assert (rl.targets, rl.target_interval, rl.memory) == ("td", 50, 100_000)
+    assert (rl.epsilon_start, rl.epsilon_end, rl.epsilon_episodes) == (0.5, 0.1, 4000)
+    assert (rl.validation_interval, rl.validation_episodes, rl.test_episodes) == (1000, 100, 500)
+    assert (config.optimizer, config.simulation.squares, config.discount) == ("sgd", "disc", 0.9)
+    ours = (config.value_prior, config.careful, config.mirror, config.planner.recover)
+    assert ours == (False, False, False, False)

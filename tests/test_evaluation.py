@@ -1,6 +1,7 @@
 """Metrics of a record made by hand, and the Wilson interval against SciPy."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from sfmrl.episodes import Record, play
 from sfmrl.evaluation import RATES, episode_rows, evaluate, evaluation_record, metrics, wilson
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
+from sfmrl.policies import load_policy
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.runs.files import csv_text
 from sfmrl.scenes import Scenes, sample_scenes
@@ -154,3 +156,23 @@ def test_a_trained_policy_is_by_default_tested_where_it_was_trained_to_be():
     assert record.simulation == chosen.simulation
     assert list(record.scenes.environment) == ["circle2", "circle2"]
     assert evaluation_record("linear", episodes=2).simulation == Simulation()
+
+
+def test_what_was_hit_is_the_element_of_the_smaller_gap():
+    record = hand_made_record()
+    record = replace(record, scenes=replace(record.scenes, square=np.tile([False, False, True], (4, 1))))
+    cases = {(-0.1, 0.3): "human", (0.3, -0.1): "square", (-0.2, -0.1): "human", (-0.1, -0.2): "square"}
+    for gaps, hit in cases.items():
+        record.transition.separations[2, 0] = gaps
+        assert episode_rows(record)[2]["hit"] == hit
+
+
+def test_a_rate_is_no_count_and_a_policy_that_played_other_episodes_is_refused():
+    for successes, trials in ((0.96, 500), (501, 500), (5, -10)):
+        with pytest.raises(ValueError, match="no count of successes"):
+            wilson(successes, trials)
+    policy = load_policy("sarl")
+    record = evaluation_record(policy, environment="circle0", episodes=2)
+    assert metrics(record, policy)["recovered"] == 0
+    with pytest.raises(ValueError, match="has just played 2 episodes, the record has 1"):
+        metrics(record.take(0), policy)

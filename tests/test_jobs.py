@@ -168,3 +168,19 @@ def test_a_cluster_of_two_workers_loses_one_in_the_middle(tmp_path):
     again = il_job(tmp_path / "again", 1, "--epochs", "12")
     run_jobs([again], Processes(1), Told(), StopSignal(), print)
     assert (again.folder / WEIGHTS).read_bytes() == (tmp_path / "b" / WEIGHTS).read_bytes()
+
+
+def test_only_so_many_trainings_run_at_a_time_and_each_in_a_session_of_its_own(tmp_path, monkeypatch):
+    sessions = []
+
+    class Busy:
+        def __init__(self, words, **how) -> None:
+            sessions.append(how["start_new_session"])
+
+        def poll(self) -> None:
+            return None
+
+    monkeypatch.setattr("sfmrl.study.jobs.subprocess.Popen", Busy)
+    workers = Processes(2)
+    assert [workers.start(il_job(tmp_path / name)) for name in "abc"] == [True, True, False]
+    assert sessions == [True, True]  # so Ctrl-C in a terminal reaches them through the table alone

@@ -12,14 +12,22 @@ from hypothesis import strategies as st
 
 from sfmrl.config import Config, Imitation, Reinforcement, Simulation, override
 from sfmrl.episodes import Record, play, returns_of
-from sfmrl.evaluation import evaluate
+from sfmrl.evaluation import evaluate, evaluation_record, metrics
 from sfmrl.exploration import epsilon, explore, remember
 from sfmrl.fast import FastNetwork, new_network
 from sfmrl.fast.optimizers import OPTIMIZERS, flush_negligible
 from sfmrl.imitation import Fit, demonstrate, fill_memory, fit_memory, make_memory
 from sfmrl.learning import Learner, Memory, learn
 from sfmrl.lookahead import SarlPolicy
+from sfmrl.recovery import RecoveringPolicy
+from sfmrl.recovery.remembering import RememberingPolicy
+from sfmrl.reinforcement import reinforce
+from sfmrl.runs import training
+from sfmrl.runs.create import create_run
+from sfmrl.runs.explorer import Explorer
+from sfmrl.runs.progress import StopSignal, no_progress
 from sfmrl.runs.training import due, needs_fit
+from sfmrl.runs.weights import load_weights
 from sfmrl.scenes import sample_scenes
 from sfmrl.states import robot_states
 from sfmrl.variants import make_config
@@ -248,7 +256,7 @@ def test_validations_are_due_at_their_interval_once_and_at_the_end():
 
 
 def test_exploration_does_not_depend_on_what_is_played_side_by_side():
-    config = tiny_config(epsilon_start=0.8, epsilon_end=0.8)
+    config = tiny_config(epsilon_start=0.9, epsilon_end=0.1, epsilon_episodes=5)
     policy = SarlPolicy(plain_network(), config)
     together, random_together = explore(policy, config, range(6))
     for e in (1, 4):
@@ -256,8 +264,9 @@ def test_exploration_does_not_depend_on_what_is_played_side_by_side():
         steps = alone.steps[0]
         np.testing.assert_array_equal(together.position[e, : steps + 1], alone.position[0])
         np.testing.assert_array_equal(random_together[e, :steps], random_alone[0, :steps])
-    share = random_together[together.played].mean()
-    assert share == pytest.approx(0.8, abs=4 * math.sqrt(0.16 / together.played.sum()))
+    for e, expected in ((0, 0.9), (5, 0.1)):
+        share = random_together[e, : together.steps[e]].mean()
+        assert share == pytest.approx(expected, abs=4 * math.sqrt(0.09 / together.steps[e]))
 
 
 def test_without_exploration_every_action_is_the_network_s():
@@ -312,3 +321,76 @@ def test_the_paper_s_preset_fits_every_reward_and_quick_only_another_state():
         assert not needs_fit(il, il)
         assert needs_fit(il, make_config(preset, "sarl-sfm2")) is expected
         assert needs_fit(il, make_config(preset, "sarl-sfm5"))
+
+
+def test_validations_and_tests_have_their_own_episodes_for_every_seed_and_the_best_network_is_kept(
+    tmp_path, monkeypatch
+):
+    few = {"validation_episodes": 3, "test_episodes": 2}
+    config = make_config(seed=5, simulation={"time_limit": 2.0}, reinforcement=few)
+    run, how, kept = create_run("rl", config, tmp_path / "run"), [], []
+    learner, rates = Learner(new_network(config), make_memory(config), config), iter([0.5, 0.75, 0.75, 0.25])
+
+    def noting(policy, **settings) -> Record:
+        how.append((type(policy), settings["phase"], settings["seed"], settings["episodes"]))
+        return evaluation_record(policy, **settings)
+
+    monkeypatch.setattr(training, "evaluation_record", noting)
+    with monkeypatch.context() as patched:
+        patched.setattr(training, "metrics", lambda record: metrics(record) | {"success": next(rates)})
+        for number in range(4):
+            learner.network.parameters["mlp3.6.bias"][:] = learner.episode = number
+            training.validate(run, learner, StopSignal(), lambda text: None, 1)
+            kept.append(float(load_weights(run.folder / "best.npz")[0].parameters["mlp3.6.bias"][0]))
+    training.test(run, learner, no_progress, 1)
+    assert kept == [0, 1, 2, 2]  # of equally good ones the latest
+    tests = [(RememberingPolicy, "test", 0, 2), (RecoveringPolicy, "test", 0, 2)]
+    assert how == [(SarlPolicy, "validation", 0, 3)] * 4 + tests
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_a_training_plays_the_scenes_of_its_own_phase_and_seed(mixed):
+    places = {"imitation": {"episodes": 3, "environment": "circle5"}, "reinforcement": {"environment": "square5"}}
+    config = make_config(seed=3, simulation={"time_limit": 2.0, "random_attributes": mixed}, **places)
+    explored, _ = explore(SarlPolicy(new_network(config), config), config, range(4, 7))
+    demonstrated = demonstrate(config)
+    for record, place, numbers, phase in (
+        (demonstrated, "circle5", 3, "imitation"),
+        (explored, "square5", range(4, 7), "train"),
+    ):
+        expected = sample_scenes(place, numbers, 3, phase=phase, random_attributes=mixed)
+        for name in ("start", "goal", "radius", "v_pref", "episode"):
+            np.testing.assert_array_equal(getattr(record.scenes, name), getattr(expected, name))
+
+
+def test_every_part_of_a_training_draws_from_its_seed():
+    configs = [override(tiny_config(epsilon_start=0.5, epsilon_end=0.5), {"seed": seed}) for seed in (0, 1)]
+    drawn = [
+        (
+            Fit(config).network.flat[:9].tolist(),
+            Fit(config).rng.random(),
+            Learner(plain_network(), make_memory(config), config).rng.random(),
+            explore(SarlPolicy(plain_network(), config), config, range(4))[1][:, :8].tolist(),
+        )
+        for config in configs
+    ]
+    assert all(one != other for one, other in zip(*drawn, strict=True))
+
+
+@pytest.mark.parametrize("parallel", [1, 2])
+def test_one_episode_is_played_with_all_that_was_learnt_and_a_round_with_what_was_a_round_ago(parallel, monkeypatch):
+    config = tiny_config(targets="returns", parallel=parallel, episodes=6, batches=5, batch_size=20)
+    learner, seen = Learner(plain_network(), make_memory(config), config), []
+
+    def noting(policy, *rest):
+        seen.append(policy.network.flat.copy())
+        return explore(policy, *rest)
+
+    monkeypatch.setattr("sfmrl.runs.explorer.explore", noting)
+    learnt = [learner.network.flat.copy()]
+    with Explorer(config, 1, aside=False) as explorer:
+        for _ in reinforce(learner, explorer.start, 6):
+            learnt.append(learner.network.flat.copy())
+    assert len({flat.tobytes() for flat in learnt}) == len(learnt)
+    for number, flat in enumerate(seen):
+        np.testing.assert_array_equal(flat, learnt[max(0, number - (parallel > 1))])

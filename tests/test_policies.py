@@ -5,12 +5,16 @@ import pytest
 from conftest import DATA
 
 from sfmrl.actions import ACTIONS
-from sfmrl.config import Config
-from sfmrl.episodes import play
-from sfmrl.lookahead import SarlPolicy
+from sfmrl.config import Config, ConfigError
+from sfmrl.episodes import play, play_episodes
+from sfmrl.fast import new_network
+from sfmrl.geometry import length
+from sfmrl.lookahead import SarlPolicy, world_states
 from sfmrl.network import ValueNetwork
-from sfmrl.rewards import COLLISION
-from sfmrl.scenes import Scenes
+from sfmrl.rewards import COLLISION, reward_terms, total
+from sfmrl.scenes import Scenes, sample_scenes
+from sfmrl.states import robot_states
+from sfmrl.variants import make_config
 from sfmrl.world import World, crowd_velocities, reset, transition
 
 
@@ -63,3 +67,48 @@ def test_linear_walks_at_v_pref_up_to_its_goal_as_crowdnav_s_does():
 def test_the_81_actions_are_stop_and_five_speeds_in_sixteen_headings():
     with np.load(DATA / "crowdnav_sarl.npz") as reference:
         np.testing.assert_allclose(ACTIONS, reference["actions"], atol=1e-12)
+
+
+@pytest.mark.parametrize("dt", [0.25, 0.4])
+def test_a_choice_and_what_is_learnt_from_it_by_definition_with_other_sizes_speeds_and_time_steps(dt):
+    start = np.array([[[0.0, -4.0], [2.0, 0.0], [-1.5, 1.0], [30.0, 0.0]]])
+    scenes = Scenes(start, -start, radius=[0.4, 0.35, 0.5, 0.3], v_pref=[0.8, 0.6, 1.2, 0.5])
+    config = make_config("quick", "sarl-sfm6", discount=0.8, simulation={"time_step": dt})
+    policy = SarlPolicy(new_network(config, seed=3), config)
+    record = play_episodes(scenes, policy, config.reward, config.simulation, discount=0.8)
+    world, moves, actions = record.worlds().take([6]), record.velocity[:, 7], 0.8 * ACTIONS[None]
+    look, step = policy.lookahead(world, moves), transition(world, actions)
+    seen = np.array([True, True, False])[:, None]  # the last is more than 10 m away
+    places = np.where(seen, world.position[:, 1:] + dt * moves[:, 1:], np.nan)[:, None]
+    robot = world.position[:, :1] + dt * actions, actions, world.goal[:, :1], [[0.4]], [[0.8]]
+    states = robot_states(*robot, places, moves[:, None, 1:], np.array([[[0.35, 0.5, 0.3]]]), forces=True)
+    later = np.where(step.outcome == COLLISION, 0, policy.network.evaluate(states)[0])
+    expected = total(reward_terms(config.reward)(step)) + 0.8 ** (dt * 0.8) * later
+    np.testing.assert_allclose(look.values, expected, atol=1e-6)
+    steps, stored = record.steps[0], record.states(config)
+    np.testing.assert_array_equal(stored, world_states(record.worlds(), config))
+    assert np.isnan(stored[:, 2, 8]).all()
+    np.testing.assert_allclose(record.transition.time[0, :steps], dt * np.arange(1, steps + 1))
+    np.testing.assert_allclose(length(record.transition.preferred_velocity[0, :steps]), 0.8)
+    factors = 0.8 ** (dt * 0.8 * np.arange(steps))
+    assert record.discounted_return[0] == pytest.approx(factors @ record.reward[0, :steps])
+
+
+@pytest.mark.parametrize("visible", [True, False])
+def test_a_safety_space_keeps_the_robot_farther_from_people(visible):
+    def mean_gap(space: float) -> float:
+        record = play(sample_scenes("circle5", 20), "orca", robot_visible=visible, safety_space=space)
+        return np.nanmin(record.transition.separation, axis=1).mean()
+
+    assert mean_gap(0.2) > mean_gap(0.0) + 0.05
+
+
+def test_in_a_crowd_of_the_social_force_model_orca_is_another_policy():
+    orca, sfm = (play(sample_scenes("circle5", 2), policy, crowd="sfm").position[:, :9] for policy in ("orca", "sfm"))
+    assert not np.array_equal(orca, sfm)
+
+
+def test_a_network_and_a_config_of_different_columns_are_refused():
+    for forces in (False, True):
+        with pytest.raises(ConfigError, match=rf"the config has forces {forces}, the network {not forces}"):
+            SarlPolicy(new_network(Config(forces=not forces)), Config(forces=forces))

@@ -1,15 +1,18 @@
 """Signals sent to real processes, in a terminal and without: the exit code, the one line, the terminal afterwards."""
 
+import io
 import os
 import select
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 from conftest import environment
+from rich.console import Console
 
-from sfmrl.runs.progress import SIGNALS, StopSignal, held_back
+from sfmrl.runs.progress import SIGNALS, StopSignal, held_back, show_progress
 
 termios = pytest.importorskip("termios")
 SFMRL = [sys.executable, "-m", "sfmrl"]
@@ -139,3 +142,14 @@ def test_signals_held_back_come_after_the_block_and_not_to_processes_started_in_
             child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
             assert (child.stdout, child.stderr) == ("alive\n", "")
         pytest.fail("the signal was lost")
+
+
+def test_progress_in_a_pipe_is_a_line_after_two_seconds_and_then_every_ten(monkeypatch):
+    now = iter([0.0, 1.0, 3.0, 8.0, 13.5])
+    monkeypatch.setattr("sfmrl.runs.progress.time", SimpleNamespace(monotonic=lambda: next(now)))
+    console = Console(file=io.StringIO(), force_terminal=False)
+    with show_progress(console)("test", 100) as advance:
+        for _ in range(4):
+            advance(10)
+    lines = ["test: 20 of 100, 6.7/s, 12 s left", "test: 40 of 100, 3.0/s, 20 s left"]
+    assert console.file.getvalue().splitlines() == lines

@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import signal
+import stat
 import subprocess
 import sys
 import time
@@ -568,3 +569,47 @@ def test_a_killed_reinforcement_goes_on_to_the_same_bits(workshop):
     assert len((killed / "validation.csv").read_text().splitlines()) == 4
     facts = json.loads((killed / "run.json").read_text())
     assert (facts["kind"], facts["imitation"]) == ("rl", "../il")
+
+
+def test_a_training_starts_from_the_newest_finished_imitation_of_its_preset_seed_and_simulation(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def imitation(changes: dict, done: bool = True) -> Path:
+        folder = create_run("il", override(TINY, changes), None).folder
+        write_atomically(folder / DEMONSTRATIONS, b"some")
+        if done:
+            write_atomically(folder / WEIGHTS, b"trained")
+        return folder
+
+    imitation({})
+    fits = imitation({"forces": True, "reward": {"reward": "sfm"}})  # these may differ
+    for other in ({"seed": 4}, {"preset": "paper"}, {"simulation": {"time_limit": 15.0}}):
+        imitation(other)
+    imitation({}, done=False)
+    assert start_run(TINY, None, False, None).imitation == fits
+
+
+def test_a_training_does_not_begin_with_other_demonstrations_than_its_own(folder, tmp_path):
+    source = Path(shutil.copytree(folder, tmp_path / "il"))
+    run = start_run(TINY, source, False, tmp_path / "rl")
+    write_atomically(source / DEMONSTRATIONS, (source / DEMONSTRATIONS).read_bytes() + b"x")
+    with pytest.raises(DamagedFile, match="is not what this run began with any more"):
+        run_reinforcement(run, no_progress, StopSignal(), lambda text: None)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="folders are synced on POSIX")
+def test_renames_are_synced_too(tmp_path, monkeypatch):
+    done, fsync, move = [], os.fsync, os.replace
+
+    def noting_fsync(descriptor: int) -> None:
+        done.append("folder" if stat.S_ISDIR(os.fstat(descriptor).st_mode) else "file")
+        fsync(descriptor)
+
+    def noting_move(*places: Path) -> None:
+        done.append("rename")
+        move(*places)
+
+    monkeypatch.setattr(os, "fsync", noting_fsync)
+    monkeypatch.setattr(os, "replace", noting_move)
+    write_atomically(tmp_path / "numbers", b"one")
+    assert done == ["file", "file", "rename", "folder", "rename", "folder"]

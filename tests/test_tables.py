@@ -193,15 +193,18 @@ def test_without_any_success_there_is_no_navigation_time():
 
 
 def test_the_course_of_a_training_in_figures():
-    runs = trained(
-        [0.9, 0.9, 0.9], validation=np.array([[0.5, 0.8, 0.95, 0.9], [0.9, 0.7, 1, 1], [0.1, 0.2, 0.3, 0.8]])
-    )
+    validation = np.array([[0.5, 0.8, 0.95, 0.9], [0.9, 0.7, 1, 1], [0.1, 0.2, 0.3, 0.8]])
+    runs = trained([0.9, 0.9, 0.9], validation=validation, training=np.tile(np.arange(1000) >= 100, (3, 1)))
     by_seed = figures(runs).values
     np.testing.assert_array_equal(by_seed["reached_episodes"], [500, 0, np.nan])
     np.testing.assert_array_equal(by_seed["reached_steps"], [500 * 40, 0, np.nan])
     np.testing.assert_allclose(by_seed["early_success"], [0.8, 0.7, 0.2])  # at 250 of 1000 episodes
     np.testing.assert_allclose(by_seed["drops"], [0.05 / 3, 0.2 / 3, 0])
-    np.testing.assert_allclose(by_seed["early_training_success"], 0)  # the first success is number 300
+    np.testing.assert_allclose(by_seed["start_success"], [0.5, 0.9, 0.1])
+    np.testing.assert_allclose(by_seed["course_success"], [0.7875, 0.9, 0.35])
+    np.testing.assert_allclose(by_seed["early_training_success"], 150 / 250)
+    short = trained([0.9], episodes=3, training=np.array([[True, False, True]]))
+    assert figures(short).values["early_training_success"] == 1.0  # at least one episode
 
 
 def test_folders_alone_make_a_row(folder):

@@ -112,9 +112,15 @@ def rvo2_step(world: World, e: int) -> np.ndarray:
     return found
 
 
-@pytest.mark.parametrize(("environment", "episode"), [("2", 3), ("1", 5), ("4", 0)])
-def test_an_episode_step_by_step_by_rvo2_from_the_same_positions(environment, episode):
-    world = reset(sample_scenes(environment, [episode]))
+OTHER = {"time_step": 0.4, "neighbor_distance": 4.0, "max_neighbors": 4, "clearance": 0.05}
+OTHER |= {"time_horizon": 3.0, "obstacle_time_horizon": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("environment", "episode", "settings"), [("2", 3, {}), ("1", 5, {}), ("4", 0, {}), ("1", 5, OTHER)]
+)
+def test_an_episode_step_by_step_by_rvo2_from_the_same_positions(environment, episode, settings):
+    world = reset(sample_scenes(environment, [episode]), Simulation(**settings))
     difference = []
     for _ in range(60):
         moves = crowd_velocities(world)

@@ -87,10 +87,12 @@ def unlist(names: set[str], folder: Path) -> None:
 
 
 def read_checked(path: Path) -> bytes:
-    """Read a file; raises DamagedFile unless the folder's SHA256SUMS lists it with its digest."""
+    """Read a file; raises DamagedFile unless it is there, and the folder's SHA256SUMS lists it with its digest."""
     if path.name not in read_sums(path.parent):
         sums = path.with_name(SUMS)
         raise DamagedFile(f"{path} has no SHA-256 in {sums}, so it cannot be trusted; put back the whole folder")
+    if not path.exists():
+        raise DamagedFile(f"{path} is not there any more; put it back")
     return read_listed(path)
 
 
