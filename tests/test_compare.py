@@ -43,6 +43,10 @@ def test_what_differs_is_counted_episode_by_episode(records):
         )
         assert gap["success"]["low"] <= gap["success"]["mean"] <= gap["success"]["high"]
         assert gap["success"]["p"] <= gap["success"]["p_holm"] <= 1
+    first, second = sorted((row["less_first"]["success"] for row in found["policies"][1:]), key=lambda gap: gap["p"])
+    assert first["p"] < 0.5
+    assert first["p_holm"] == pytest.approx(2 * first["p"])
+    assert second["p_holm"] == pytest.approx(max(first["p_holm"], second["p"]))
     assert "less_first" not in found["policies"][0]
     differing = {row["episode"]: row["outcomes"] for row in found["differing"]}
     assert set(differing) == {e for e in range(30) if len({bool(s[e]) for s in success}) == 2}
@@ -144,3 +148,9 @@ def test_all_total_rewards_have_the_first_policy_s_discount(sfmrl, tmp_path):
 )
 def test_wrong_use_is_one_line(in_process, words, said):
     assert_one_line_error(in_process("compare", *words), said)
+
+
+def test_who_has_recovery_is_said(in_process):
+    words = ("compare", "orca", "sarl", "sarl-sfm2", "--environment", "circle0", "--episodes", "1")
+    assert "with recovery: sarl, sarl-sfm2\n" in in_process(*words).stdout
+    assert "with recovery" not in in_process(*words, "--no-recover").stdout

@@ -8,6 +8,7 @@ import signal
 import stat
 import sys
 from collections.abc import Callable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -158,8 +159,8 @@ def test_a_run_killed_at_any_file_operation_goes_on_to_the_same_bits(place, tmp_
         assert code == 0, (number, operations[-1:], said)
         assert ".tmp" not in said
         assert contents(folder / name) == whole, (number, operations[-1:])
-        found = list(verify(folder / name, 1, None, 1, no_progress))
-        assert [finding for finding in found if not finding.ok] == [], number
+        found = list(islice(verify(folder / name, 1, None, 1, no_progress), 4))  # nothing is played again
+        assert [finding.ok for finding in found] == [True] * 4, number
 
 
 def full_disk() -> None:

@@ -24,6 +24,7 @@ TINY_RL = ("--episodes", "16", "--validation-episodes", "4", "--test-episodes", 
 def _surroundings(monkeypatch):
     for name, value in environment().items():
         monkeypatch.setenv(name, value)
+    monkeypatch.setattr("sfmrl.study.jobs.POLL_INTERVAL", 0.05)
 
 
 def il_job(folder: Path, seed: int = 0, *more: str) -> Job:
@@ -76,9 +77,9 @@ def test_a_failure_is_named_and_keeps_nobody_else_from_running(tmp_path):
 
 
 def test_a_stop_lets_trainings_keep_what_they_need_to_go_on(tmp_path):
-    # Long enough on any machine to be seen in the middle: `run_jobs` looks every POLL_INTERVAL.
-    whole = il_job(tmp_path / "whole", 0, "--epochs", "200")
-    stopped = il_job(tmp_path / "stopped", 0, "--epochs", "200")
+    # Long enough to be seen in the middle: `run_jobs` looks every POLL_INTERVAL.
+    whole = il_job(tmp_path / "whole", 0, "--epochs", "60")
+    stopped = il_job(tmp_path / "stopped", 0, "--epochs", "60")
     run_jobs([whole], Processes(1), Told(), StopSignal(), print)
     stop = StopSignal()
 
@@ -103,9 +104,11 @@ def test_the_table_command_stops_at_a_signal_and_says_how_to_go_on(tmp_path):
         text=True,
     )
     run = tmp_path / "runs" / "tables" / "quick-il-seed0"
+    deadline = time.monotonic() + 120
     while not (run / "run.json").exists():
         time.sleep(0.1)
         assert process.poll() is None
+        assert time.monotonic() < deadline
     os.kill(process.pid, signal.SIGINT)
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130
@@ -142,14 +145,15 @@ def test_a_cluster_of_two_workers_loses_one_in_the_middle(tmp_path):
         workers = [cluster.add_node(num_cpus=1) for _ in range(2)]
         cluster.wait_for_nodes()
         ray.init(address=cluster.address, log_to_driver=False, logging_level="error")
-        jobs = [il_job(tmp_path / "a", 0, "--epochs", "12"), il_job(tmp_path / "b", 1, "--epochs", "12")]
+        jobs = [il_job(tmp_path / name, seed, "--epochs", "60") for seed, name in enumerate("ab")]
         jobs.append(rl_job(tmp_path / "c", tmp_path / "a"))
         said = []
 
         def kill_one() -> None:
             while ray.available_resources().get("CPU", 0) > 0:  # until both are training
                 time.sleep(0.1)
-            time.sleep(2.0)
+            while not all((job.folder / "metrics.csv").exists() for job in jobs[:2]):
+                time.sleep(0.1)
             cluster.remove_node(workers[1], allow_graceful=False)
 
         killer = threading.Thread(target=kill_one)
@@ -165,7 +169,7 @@ def test_a_cluster_of_two_workers_loses_one_in_the_middle(tmp_path):
     finally:
         ray.shutdown()
         cluster.shutdown()
-    again = il_job(tmp_path / "again", 1, "--epochs", "12")
+    again = il_job(tmp_path / "again", 1, "--epochs", "60")
     run_jobs([again], Processes(1), Told(), StopSignal(), print)
     assert (again.folder / WEIGHTS).read_bytes() == (tmp_path / "b" / WEIGHTS).read_bytes()
 

@@ -275,6 +275,16 @@ def test_a_reward_that_a_file_names_is_run_only_if_the_user_names_or_trusts_it(o
     play(SCENES.take([0]), handed, reward="own.py:calm")
 
 
+def test_a_reward_is_trusted_where_its_file_is_now_once_it_is_not_where_it_was(tmp_path):
+    was, now = tmp_path / "was.py", tmp_path / "now.py"
+    now.write_text("def same(transition, settings):\n    return 0.0 * transition.time\n")
+    config = Config.from_json(Config(reward=Reward(reward=f"{was}:same")).to_json())
+    assert trusted(config, f"{now}:same").reward.reward == f"{now}:same"
+    assert isinstance(trusted(config, f"{now}:other").reward.reward, Untrusted)
+    was.write_text("")
+    assert isinstance(trusted(config, f"{now}:same").reward.reward, Untrusted)
+
+
 def test_a_module_that_a_file_names_is_not_imported_and_sfmrl_s_own_rewards_need_no_trust():
     config = Config.from_json(Config(reward=Reward(reward="antigravity:calm")).to_json())
     with pytest.raises(UntrustedReward):

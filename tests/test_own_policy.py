@@ -5,11 +5,13 @@ import json
 
 import numpy as np
 import pytest
+from conftest import assert_one_line_error
 
-from sfmrl.config import ConfigError
+from sfmrl.config import ConfigError, Planner
 from sfmrl.episodes import play
 from sfmrl.own_code import code_digest
 from sfmrl.policies import load_policy
+from sfmrl.recovery import with_recovery
 from sfmrl.scenes import sample_scenes
 
 SCENES = sample_scenes("table1", 6)
@@ -148,3 +150,108 @@ def test_policies_are_written_in_a_line(own):
     alone = "SarlPolicy(reward sfm, state of 17 columns, with forces)"
     assert repr(load_policy("sarl-sfm6")) == f"RecoveringPolicy({alone})"
     assert repr(load_policy("sarl-sfm6").original) == alone
+
+
+BROKEN = """\
+import numpy as np
+
+
+class Broken:
+    batch = 4
+
+    def __init__(self, what):
+        self.what = what
+
+    def begin(self, scenes, simulation):
+        if self.what == "begin":
+            1 / 0
+
+    def explain(self, world, crowd_velocity):
+        action = np.zeros((len(world), 2))
+        if self.what == "explain":
+            return action
+        return action, {"values": [0.5] * len(world)}
+
+    def __call__(self, world, crowd_velocity):
+        return np.zeros((len(world), 2))
+
+
+class TakesOne(Broken):
+    def begin(self, scenes):
+        pass
+
+
+def fails_to_begin():
+    return Broken("begin")
+
+
+def fails_to_explain():
+    return Broken("explain")
+
+
+def notes_of_its_own():
+    return Broken("")
+
+
+def takes_one():
+    return TakesOne("")
+
+
+def no_batch():
+    made = Broken("")
+    made.batch = 0
+    return made
+
+
+def network():
+    from sfmrl import load_policy
+
+    return load_policy("sarl").original
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("fails_to_begin", "begin of policy FILE:fails_to_begin() (line 12) failed: ZeroDivisionError"),
+        ("takes_one", "define it with two arguments, (scenes, simulation)"),
+        ("fails_to_explain", "must return its actions, and notes by name"),
+        ("no_batch", "batch is 0; it must be at least 1"),
+    ],
+)
+def test_errors_in_the_rest_of_a_policy_are_one_line_too(in_process, tmp_path, name, said):
+    (tmp_path / "broken.py").write_text(BROKEN)
+    done = in_process("ascii-render", f"broken.py:{name}()", "--environment", "circle5", "--frames", "1")
+    assert_one_line_error(done, said.replace("FILE", "broken.py"))
+
+
+def test_a_policy_s_own_notes_are_no_network_s(in_process, tmp_path):
+    (tmp_path / "broken.py").write_text(BROKEN)
+    words = ("broken.py:notes_of_its_own()", "--environment", "circle5")
+    for command in (("ascii-render", *words, "--frames", "1"), ("explain", *words)):
+        assert in_process(*command).returncode == 0
+
+
+def test_recovery_makes_a_network_of_a_user_s_look_farther_ahead_too(tmp_path):
+    (tmp_path / "broken.py").write_text(BROKEN)
+    policy = load_policy(f"{tmp_path}/broken.py:network()")
+    assert with_recovery(policy, Planner(recover=True)).policy.trap_steps == load_policy("sarl").policy.trap_steps == 2
+
+
+def test_a_file_imports_those_beside_it(own, tmp_path):
+    (tmp_path / "beside.py").write_text("SPEED = 0.5")
+    own.write_text(
+        OWN + "\n\ndef slow(world, crowd_velocity):\n    from beside import SPEED\n\n"
+        "    return SPEED * straight(world, crowd_velocity)\n"
+    )
+    assert play(SCENES, f"{own}:slow").velocity[0, 1, 0, 1] == 0.5
+
+
+def test_the_digest_of_a_module_is_its_file_s_and_no_package_is_run(own, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "package").mkdir()
+    (tmp_path / "package" / "__init__.py").write_text("raise RuntimeError")
+    (tmp_path / "package" / "inner.py").write_text("SPEED = 1")
+    assert code_digest("own:straight") == hashlib.sha256(own.read_bytes()).hexdigest()
+    assert code_digest("package.inner:SPEED") == hashlib.sha256(b"SPEED = 1").hexdigest()
+    assert code_digest("nowhere.inner:SPEED") is None

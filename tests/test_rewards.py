@@ -308,3 +308,11 @@ def test_a_setting_that_the_reward_does_not_read_is_refused():
             else:
                 with pytest.raises(ConfigError, match=f"--{item.name.replace('_', '-')} changes nothing under"):
                     check_read(plain, [item.name])
+
+
+def test_gaps_without_an_axis_of_elements_are_refused():
+    transition = random_transitions(5, elements=1)
+    flat = replace(transition, separations=transition.separations[:, 0])
+    for terms in (REWARDS["crowd"], REWARDS["sfm"]):
+        with pytest.raises(ValueError, match=r"separations has shape \(200,\) .* one axis more, of elements"):
+            terms(flat, Reward())

@@ -124,7 +124,7 @@ def test_nobody_there_leaves_nothing_to_measure_but_the_path():
     assert found["spl"] == pytest.approx(1.0)
     assert found["path_length"] == pytest.approx(7.75)  # the goal counts as reached within 0.3 m
     assert (found["danger_frequency"], found["danger_separation"], found["min_gap"]) == (0.0, None, None)
-    assert (found["min_ttc"], found["social_work"], found["intimate"]) == (10.0, 0.0, 0.0)
+    assert (found["min_ttc"], found["social_work"], found["intimate"]) == (None, 0.0, 0.0)
     assert found["jerk"] == pytest.approx(0.0, abs=1e-9)
     assert found["heading_change"] == pytest.approx(0.0, abs=1e-9)
 

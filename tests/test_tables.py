@@ -357,6 +357,16 @@ def test_rows_that_miss_a_seed_leave_its_cells_empty():
     first, *_, last = csv.DictReader(csv_text(table_validations(runs)).splitlines())
     assert (first["low"], first["high"], first["seed 0"], first["seed 1"]) == ("", "", "", "0.5")
     assert (last["row"], last["seed 0"]) == ("sarl-sfm2", "0.9")
+    rows = {name: figures(run) for name, run in runs.items()}
+    _, points, *_ = sheets(summarise(TABLES[1], rows), [], "Table 1")
+    assert [line["seeds 0-1"] for line in points.lines] == ["- .900", ".800 .900"]
+
+
+def test_trainings_that_a_figure_lacks_are_told(in_process, folder):
+    done = in_process(
+        "figure", "1", "--folder", str(folder), "--rows", "sarl,sarl-sfm6", "--seeds", "0-3", "--csv", "f.csv"
+    )
+    assert "1 of 8 trainings are not finished, and left out" in done.stderr
 
 
 def test_there_is_a_line_a_validation(folder):

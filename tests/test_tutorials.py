@@ -64,6 +64,7 @@ def place(tmp_path: Path, monkeypatch) -> Path:
     return folder
 
 
+@pytest.mark.timeout(900)  # a page takes a minute on a slow machine
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
 def test_a_page_does_what_it_shows(page, place, capsys):
     python, blocks = Interpreter(), runs(page)

@@ -149,7 +149,7 @@ def test_other_weights_than_those_of_the_test_are_found_out_by_playing_again(cop
     _, config = load_weights(run / "weights.npz")
     save_weights(ValueNetwork(value_prior=True, seed=9), config, run / "weights.npz")
     assert "replay" in wrong(run)
-    save_weights(ValueNetwork(value_prior=True), Config(), run / "weights.npz")
+    save_weights(ValueNetwork(value_prior=True), Config(value_prior=True), run / "weights.npz")
     assert "weights.npz" in wrong(run)
 
 
@@ -184,6 +184,10 @@ def test_a_reward_in_a_python_file_is_run_only_if_trusted_and_unchanged(copy, tm
     changed = findings(run, trust_reward=True)
     assert (changed["reward"].ok, changed["replay"].ok) == (False, None)
     assert not mark.exists()
+    own.rename(tmp_path / "moved.py")
+    gone = findings(run)
+    assert {name for name, finding in gone.items() if finding.ok is None} == unjudged
+    assert "put that file there, then add --trust-reward" in gone["reward"].said
 
 
 def remade(run: Path, change: Callable[[dict], object], tested: bool = True) -> dict[str, Finding]:
@@ -387,3 +391,12 @@ def test_an_archive_that_cannot_be_used_is_one_line(sfmrl, copy, tmp_path, kind,
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert said in done.stderr
     assert not (tmp_path.parent / "run.json").exists()
+
+
+@pytest.mark.parametrize("kind", ["zip", "tar"])
+def test_an_archive_of_either_kind_may_not_unpack_to_too_much(copy, tmp_path, monkeypatch, kind):
+    archive = Path(shutil.make_archive(str(tmp_path / "run"), kind, copy / "il"))
+    monkeypatch.setattr("sfmrl.lessons.handed_in.LARGEST", 1000)
+    with runs_in([archive]) as (runs, (error,)):
+        assert runs == {}
+        assert "would unpack to" in str(error)

@@ -242,3 +242,17 @@ def test_a_weights_file_that_differs_from_its_digest_is_damaged(tmp_path):
         load_policy(path)
     with pytest.raises(DamagedFile, match=re.escape(str(path))):
         load_policy(tmp_path)
+
+
+def test_what_crowdnav_would_play_otherwise_is_not_exported_and_no_contradiction_is_saved(tmp_path):
+    prior = as_fast(ValueNetwork(value_prior=True))
+    with pytest.raises(ConfigError, match="train one with --no-value-prior"):
+        export_weights(prior, tmp_path / "rl_model.pth")
+    for config in (Config(), Config(value_prior=True, forces=True)):
+        with pytest.raises(ConfigError, match=r"the config has (value_prior|forces)"):
+            save_weights(prior, config, tmp_path / "some.npz")
+    assert list(tmp_path.iterdir()) == []
+    parameters = prior.state_dict()
+    parameters["mlp1.0.weight"] = parameters["mlp1.0.weight"][:1]
+    with pytest.raises(ValueError, match=r"mlp1.0.weight has shape \(1, 13\), not \(150, 13\)"):
+        prior.load_state_dict(parameters)

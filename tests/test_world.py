@@ -259,3 +259,37 @@ def test_a_corner_of_a_square_is_solid_unless_squares_count_as_discs(squares, ou
     step = transition(world, np.array([[1.0, -1.0]]))
     assert step.outcome[0] == outcome
     assert step.separations[0, 0] == pytest.approx(gap, abs=1e-9)
+
+
+def test_an_action_of_another_shape_or_that_is_not_finite_is_refused_and_lists_and_integers_do():
+    world = reset(Scenes([[[0, 0], [3, 0]]], [[[0, 4], [0, 0]]]))
+    moves = np.array([[[0, 0], [-1, 0]]])
+    for step in (transition, lambda world, action: advance(world, moves, action)):
+        for action, said in (
+            ([0.6, 0.8], r"action must have shape \(1, 2\) or \(1, A, 2\), not \(2,\)"),
+            ([[0.6, 0.8]] * 2, "action must have shape"),
+            ([[0.6, 0.8, 0.0]], "action must have shape"),
+            ([[np.nan, 0.0]], "action is NaN or infinite"),
+        ):
+            with pytest.raises(ValueError, match=said):
+                step(world, action)
+    after = advance(world, moves, [[0.6, 0.8]])
+    np.testing.assert_array_equal(after.velocity, [[[0.6, 0.8], [-1.0, 0.0]]])
+    np.testing.assert_array_equal(transition(world, [[0, 1]]).velocity, [[0.0, 1.0]])
+    with pytest.raises(ValueError, match="read-only"):
+        ACTIONS[0] = 1.0
+
+
+def test_one_episode_can_be_taken_by_its_number():
+    world = reset(sample_scenes("circle5", 3))
+    assert world.take(1).position.shape == (1, 6, 2)
+    record = play(sample_scenes("circle5", 3), "linear")
+    assert (len(record), len(record.take(-1))) == (3, 1)
+
+
+def test_a_play_takes_a_simulation_of_which_its_other_arguments_change_a_part():
+    far = Scenes([[[0.0, 0.0]]], [[[0.0, 40.0]]])
+    assert play(far, "linear").outcome.tolist() == ["timeout"]
+    record = play(far, "linear", simulation=Simulation(time_limit=60.0, time_step=0.5), kinematics="unicycle")
+    assert record.outcome.tolist() == ["success"]
+    assert (record.simulation.time_step, record.simulation.kinematics) == (0.5, "unicycle")

@@ -50,7 +50,7 @@ def plain_table(*headings: str, first: JustifyMethod = "left", gap: int = 0, tit
     return table
 
 
-def number(value: float | None, form: str = "z.3f") -> str:
+def number(value: float | None, form: str = ".3f") -> str:
     """Write a number in a format; "-" for None."""
     return "-" if value is None else format(value, form)
 
@@ -60,7 +60,7 @@ def rate(value: float | None) -> str:
     return re.sub(r"^(-?)0\.", r"\1.", number(value))
 
 
-seconds, whole = partial(number, form="z.2f"), partial(number, form="z.0f")
+seconds, whole = partial(number, form=".2f"), partial(number, form=".0f")
 
 
 def p_value(p: float) -> str:
