@@ -561,6 +561,8 @@ def test_help_shows_the_config_s_own_defaults(in_process: Call):
         "what drives the humans (orca | sfm) (default orca)",
     ):
         assert words in text
+    text = re.sub(r"[\s│]+", " ", in_process("eval", "--help-all").stdout)
+    assert "what drives the humans (orca | sfm) (default the policy's, else orca)" in text
 
 
 @pytest.mark.parametrize("words", [["--help"], ["eval", "linear", "--environment", "5", "--episodes", "2", "--json"]])
