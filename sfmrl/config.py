@@ -236,16 +236,22 @@ RETIRED = {"shaping", "precision", "collision_ends", "avoid_traps", "sparse"}
 
 
 def override(config: Any, changes: Mapping[str, Any]) -> Any:
-    """A copy of a config dataclass with `changes`, nested like the config; raises ConfigError on unknown keys."""
+    """A copy of a config dataclass with `changes`, nested like the config; raises ConfigError on unknown keys.
+
+    A part of the config may also be given as its dataclass, such as a `Reward`.
+    """
     section, known = type(config).__name__.lower(), [item.name for item in fields(config)]
     if not isinstance(changes, Mapping):
         raise ConfigError(f"{section} is {changes!r}; it takes settings by name")
     values = {}
     for name, value in changes.items():
         if name not in known:
-            raise ConfigError(f"there is no setting {name!r} in {section}{suggest(name, known)}")
+            parts = [part for part in known if is_dataclass(getattr(config, part))]
+            inner = [part for part in parts if hasattr(getattr(config, part), name)]
+            hint = f"; {inner[0]} has one: {inner[0]}={{{name!r}: ...}}" if inner else suggest(name, known)
+            raise ConfigError(f"there is no setting {name!r} in {section}{hint}")
         old = getattr(config, name)
-        values[name] = override(old, value) if is_dataclass(old) else value
+        values[name] = override(old, value) if is_dataclass(old) and not isinstance(value, type(old)) else value
     return replace(config, **values)
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from sfmrl.config import Config, ConfigError
+from sfmrl.config import Config, ConfigError, Reward
 from sfmrl.variants import make_config
 
 
@@ -19,6 +19,15 @@ def test_a_config_of_an_earlier_version_is_refused_with_the_version_that_plays_i
     older = json.loads(Config().to_json()) | setting
     with pytest.raises(ConfigError, match=r"made by a version of sfmrl before 0.3.0; install that version"):
         Config.from_json(json.dumps(older))
+
+
+def test_a_part_of_a_config_is_given_by_name_or_whole_and_a_name_of_its_own_is_found():
+    reward = Reward(k=0.003)
+    assert make_config(reward=reward).reward == reward == make_config(reward={"k": 0.003}).reward
+    with pytest.raises(ConfigError, match=r"no setting 'k' in config; reward has one: reward=\{'k': ...\}"):
+        make_config(k=0.003)
+    with pytest.raises(ConfigError, match=r"no setting 'sed' in config; did you mean seed?"):
+        make_config(sed=3)
 
 
 def test_the_paper_s_preset_has_the_published_numbers():
