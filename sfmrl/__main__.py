@@ -31,8 +31,7 @@ def main() -> None:
 
 def _end_at_once(number: int, frame: object) -> None:
     """End without an exception, which an import may swallow or wrap; before the command starts, nothing is lost."""
-    sys.stderr.write("sfmrl: interrupted\n")
-    sys.stderr.flush()
+    os.write(2, b"sfmrl: interrupted\n")
     os._exit(INTERRUPTED)
 
 

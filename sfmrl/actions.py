@@ -54,12 +54,15 @@ class Policy(Protocol):
 def explained(policy: Policy, world: World, crowd_velocity: np.ndarray) -> tuple[np.ndarray, Notes]:
     """A policy's actions (E, 2) in m/s and its notes on them, none if it cannot `explain`.
 
-    Raises ConfigError if it explains anything else.
+    Raises ConfigError if `explain` returns anything else.
     """
     explain = getattr(policy, "explain", None)
     if not explain:
         return policy(world, crowd_velocity), {}
-    said = explain(world, crowd_velocity)
-    if not (isinstance(said, tuple) and len(said) == 2 and isinstance(said[1], dict)):
-        raise ConfigError(f"explain of policy {name_of(policy)} must return its actions, and notes by name (a dict)")
-    return said
+    returned = explain(world, crowd_velocity)
+    if not (isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[1], dict)):
+        raise ConfigError(f"explain of policy {name_of(policy)} must return (actions, notes), the notes a dict")
+    action, notes = returned
+    if not all(isinstance(note, np.ndarray) and note.shape[:1] == (len(world),) for note in notes.values()):
+        raise ConfigError(f"explain of policy {name_of(policy)} must return arrays as notes, a row for each episode")
+    return action, notes

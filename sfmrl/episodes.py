@@ -69,9 +69,9 @@ class Record(Batch):
 
     @property
     def outcome(self) -> np.ndarray:
-        """How each episode ended, (E,) texts: "success", "collision" or "timeout".
+        """How each episode ended, (E,) strings: "success", "collision" or "timeout".
 
-        The constants SUCCESS, COLLISION and TIMEOUT are for `transition.outcome`; no text equals any of them.
+        Compare with these strings; SUCCESS, COLLISION and TIMEOUT are for `transition.outcome`.
         """
         return OUTCOMES[self.transition.outcome[np.arange(len(self.steps)), self.steps - 1]]
 
@@ -138,9 +138,8 @@ def play(
     own = config_of(chosen).simulation if simulation is None else simulation
     given = {"robot_visible": robot_visible, "safety_space": safety_space, "crowd": crowd, "kinematics": kinematics}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    return play_episodes(
-        scenes, chosen, reward, replace(own, **changes), discount=Config(discount=discount).discount
-    )  # in range
+    discount = Config(discount=discount).discount  # checks its range
+    return play_episodes(scenes, chosen, reward, replace(own, **changes), discount=discount)
 
 
 def play_episodes(

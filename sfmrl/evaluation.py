@@ -143,8 +143,8 @@ def wilson(successes: int, trials: int, z: float = Z) -> tuple[float, float]:
 
     Raises ValueError unless both are whole numbers and 0 <= successes <= trials.
     """
-    if successes != int(successes) or trials != int(trials) or not 0 <= successes <= trials:
-        raise ValueError(f"{successes} of {trials} is no count of successes; it takes two whole numbers, not a rate")
+    if not (0 <= successes <= trials < math.inf and successes % 1 == trials % 1 == 0):
+        raise ValueError(f"wilson takes numbers of successes and trials, not {successes} of {trials}")
     if trials == 0:
         return 0.0, 1.0
     rate, spread = successes / trials, z * z / trials

@@ -13,7 +13,6 @@ import traceback
 from collections.abc import Callable
 from dataclasses import is_dataclass, replace
 from functools import partial
-from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,8 @@ READ_ONLY = "what it is given is read-only: work on a copy, as numpy.array(...) 
 HINTS = {  # what to change in a user's function, by a part of the error that it raises
     "read-only": READ_ONLY,
     "cannot assign to field": READ_ONLY,
-    "positional argument": "define it with two arguments, {arguments}",
+    "positional argument": "define it with the arguments {arguments}",
+    "No module named": "only this one file is run: write what it needs into it, or install it",
     "truth value of an array": "it is given whole arrays: choose with numpy.where or numpy.select instead of if",
 }
 
@@ -34,6 +34,7 @@ ARGUMENTS = {
     "policy": "(world, crowd_velocity)",
     "explain": "(world, crowd_velocity)",
     "begin": "(scenes, simulation)",
+    "attention": "(world)",
 }
 
 
@@ -122,16 +123,16 @@ class OwnPolicy:
         return f"OwnPolicy({self.__name__})"
 
     def __call__(self, world: Any, crowd_velocity: np.ndarray) -> Any:
-        return self._run("policy", self.own, world, crowd_velocity)
+        return self._run(f"policy {self.__name__}", self.own, world, crowd_velocity)
 
     def __getattr__(self, name: str) -> Any:
         if name == "own":  # copy.copy() asks before __init__ has run
             raise AttributeError(name)
         part = getattr(self.own, name)
-        return partial(self._run, name, part) if name in ("begin", "explain") else part
+        called = name in ("begin", "explain", "attention")
+        return partial(self._run, f"{name} of policy {self.__name__}", part) if called else part
 
-    def _run(self, what: str, function: Callable, *arguments: Any) -> Any:
-        who = f"policy {self.__name__}" if what == "policy" else f"{what} of policy {self.__name__}"
+    def _run(self, who: str, function: Callable, *arguments: Any) -> Any:
         return guarded(who, "failed", self._file, lambda: function(*arguments))
 
 
@@ -161,28 +162,25 @@ def load(name: str, what: str = "reward") -> Callable:
     place, _, function = name.rpartition(":")
     file = _file(name, what)
     run = runpy.run_path if file else lambda module: vars(importlib.import_module(module))
-    if file and (folder := str(Path(file).parent.resolve())) not in sys.path:
-        sys.path.append(folder)  # so that the file can import what stands beside it
     known = guarded(f"{what} {name}", "cannot be imported", file, lambda: run(file or place))
     if not callable(known.get(function)):
         raise ConfigError(f"{what} {name}: {place} has no function {function!r}{suggest(function, known)}")
     return known[function]
 
 
-def trusted(config: Config, trust: bool | str) -> Config:
+def trusted(config: Config, trust: bool | str, digest: str | None = None) -> Config:
     """The config, its reward allowed to be run if `trust` is True or names the same reward.
 
-    The same is also a function of this name in another file, if the config's file is not there any more.
+    If the config's file no longer exists, the same function in another file with this SHA-256 `digest` is the same.
     """
     name = config.reward.reward
-    if trust is True:
-        return override(config, {"reward": {"reward": str(name)}})
     if type(trust) is not str:  # also Untrusted, which only a file names
-        return config
+        return override(config, {"reward": {"reward": str(name)}}) if trust is True else config
     place, _, function = name.rpartition(":")
-    moved = place.endswith(".py") and not Path(place).is_file() and trust.rpartition(":")[2] == function
-    same = moved or absolute(trust) == absolute(name)
-    return override(config, {"reward": {"reward": trust if moved else str(name)}}) if same else config
+    moved = place.endswith(".py") and not Path(place).is_file() and trust.endswith(f".py:{function}")
+    if moved and digest and code_digest(trust) == digest:
+        return override(config, {"reward": {"reward": trust}})
+    return override(config, {"reward": {"reward": str(name)}}) if absolute(trust) == absolute(name) else config
 
 
 def absolute(name: str) -> str:
@@ -193,19 +191,18 @@ def absolute(name: str) -> str:
 
 def code_digest(name: str) -> str | None:
     """The SHA-256 of the file that a name of Python code names; None without one. Raises ConfigError if missing."""
-    file = _file(name) or _module_file(name.rpartition(":")[0])
+    file = _file(name) or (_module_file(name.rpartition(":")[0]) if names_code(name) else "")
     return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else None
 
 
 def _module_file(module: str) -> str:
-    """The file of a module that can be imported, "" if there is none; runs no code, not even of its packages."""
-    parts, place, file = module.split("."), None, ""
-    for count in range(1, len(parts) + 1):
-        spec = PathFinder.find_spec(".".join(parts[:count]), place)
-        if spec is None:
-            return ""
-        place, file = spec.submodule_search_locations, spec.origin or ""
-    return file if Path(file).is_file() else ""
+    """The file of a module in one of the folders of sys.path, "" if there is none; imports nothing."""
+    for folder in sys.path:
+        place = Path(folder, *module.split("."))
+        for file in (place / "__init__.py", place.with_suffix(".py")):
+            if file.is_file():
+                return str(file)
+    return ""
 
 
 def _file(name: str, what: str = "reward") -> str:
@@ -214,6 +211,6 @@ def _file(name: str, what: str = "reward") -> str:
     if not place.endswith(".py"):
         return ""
     if not Path(place).is_file():
-        remedy = "write its path as seen from here" if what == "policy" else "give the path that it has now by --reward"
+        remedy = "write its path as seen from here" if what == "policy" else "name its new place with --reward"
         raise ConfigError(f"{what} {name}: there is no file {place}; put it there, or {remedy}")
     return place

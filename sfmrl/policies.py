@@ -65,10 +65,11 @@ def load_policy(name_or_path: str | Path, threads: int | None = None, *, trust_r
     if names_code(str(name_or_path)):
         return OwnPolicy(str(name_or_path))
     from sfmrl.recovery import with_recovery
-    from sfmrl.runs.weights import find_weights, load_weights
+    from sfmrl.runs.weights import find_weights, load_weights, reward_digest
 
-    network, config = load_weights(find_weights(name_or_path))
-    config = trusted(config, trust_reward)
+    path = find_weights(name_or_path)
+    network, config = load_weights(path)
+    config = trusted(config, trust_reward, reward_digest(path))
     return with_recovery(SarlPolicy(network, config, threads or available_cores()), config.planner)
 
 

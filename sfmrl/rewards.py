@@ -18,7 +18,7 @@ from sfmrl.own_code import checked_array, guarded, kind, load, name_of, read_onl
 
 RUNNING, SUCCESS, COLLISION, TIMEOUT = range(4)
 OUTCOMES = np.array(["running", "success", "collision", "timeout"])
-PAID_STEP = 0.25  # s, the step for which the terms on the way are defined
+REFERENCE_STEP = 0.25  # s, the step for which the terms on the way are defined
 
 
 @dataclass(frozen=True)
@@ -51,14 +51,12 @@ class Transition(Batch):
     def separation(self) -> np.ndarray:
         """Smallest gap to any element during the step, m (...); +inf without elements.
 
-        Raises ValueError unless `separations` has one axis more than `outcome`.
+        Raises ValueError unless `separations` has the axes of `outcome` and one more.
         """
         gaps, steps = np.shape(self.separations), np.shape(self.outcome)
         if gaps[:-1] != steps or not gaps:
-            raise ValueError(
-                f"separations has shape {gaps} and outcome {steps}; it must have one axis more, of elements"
-            )
-        return self.separations.min(axis=-1, initial=np.inf)
+            raise ValueError(f"separations must have the axes of outcome and one more, {(*steps, 'K')}, not {gaps}")
+        return np.min(self.separations, axis=-1, initial=np.inf)
 
     def __getitem__(self, index) -> "Transition":
         """The same with all arrays indexed along their leading axes."""
@@ -74,9 +72,9 @@ def crowd_terms(transition: Transition, p: Reward) -> Terms:
 
     The discomfort is for a step of 0.25 s; other steps pay in proportion.
     """
-    end, close = transition.outcome, too_close(transition, p)
+    end, close = np.asarray(transition.outcome), too_close(transition, p)
     gap = np.minimum(transition.separation, p.discomfort_distance)  # a slope of 0 times +inf would be NaN
-    discomfort = p.discomfort_slope * (gap - p.discomfort_distance) * (transition.time_step / PAID_STEP)
+    discomfort = p.discomfort_slope * (gap - p.discomfort_distance) * (transition.time_step / REFERENCE_STEP)
     return {
         "collision": np.where(end == COLLISION, p.collision, 0.0),
         "goal": np.where(end == SUCCESS, p.success, 0.0),
@@ -91,8 +89,8 @@ def sfm_terms(transition: Transition, p: Reward) -> Terms:
     start, and d_g the distance to the goal at the step's end. The terms on the way are for a step of 0.25 s; others pay
     in proportion.
     """
-    end, close = transition.outcome, too_close(transition, p)
-    free, scale = (end == RUNNING) & ~close, transition.time_step / PAID_STEP
+    end, close = np.asarray(transition.outcome), too_close(transition, p)
+    free, scale = (end == RUNNING) & ~close, transition.time_step / REFERENCE_STEP
     gap = np.clip(transition.separation, 0.0, p.discomfort_distance)  # exp must not overflow where it does not count
     deviation = length(p.k * (transition.velocity - transition.preferred_velocity))
     return {
@@ -113,7 +111,7 @@ def sfm_discount_terms(transition: Transition, p: Reward) -> Terms:
 
 def too_close(transition: Transition, p: Reward) -> np.ndarray:
     """Which steps (...) come closer to an element than the discomfort distance and do not end the episode."""
-    return (transition.outcome == RUNNING) & (transition.separation < p.discomfort_distance)
+    return (np.asarray(transition.outcome) == RUNNING) & (transition.separation < p.discomfort_distance)
 
 
 REWARDS = {"crowd": crowd_terms, "sfm": sfm_terms, "sfm-discount": sfm_discount_terms}

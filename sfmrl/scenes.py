@@ -170,7 +170,7 @@ def sample_scenes(
 
 def _numbers(episodes: int | Sequence[int]) -> np.ndarray:
     """The numbers (E,) of episodes that are given by their count or their numbers; raises ConfigError."""
-    numbers = np.asarray(episodes if np.size(episodes) else 0)
+    numbers = np.asarray(episodes if np.size(episodes) else 0)  # an empty list would be one of floats
     if not np.issubdtype(numbers.dtype, np.integer) or numbers.ndim > 1 or (numbers < 0).any():
         raise ConfigError(f"episodes is {episodes!r}; it takes how many, or their numbers, counted from 0")
     return np.arange(numbers.item()) if numbers.ndim == 0 else numbers

@@ -26,7 +26,7 @@ def column_names(forces: bool) -> tuple[str, ...]:
 
 
 def own_columns(forces: bool) -> int:
-    """How many of the columns, the first ones, are the robot's own: 6 or, with forces, 8."""
+    """The number of the robot's own columns, which come first: 6 or, with forces, 8."""
     return column_names(forces).index("element_x")
 
 
@@ -47,9 +47,8 @@ def robot_states(
 
     The robot's `position`, `velocity`, `goal` (..., 2), `radius`, `v_pref` (...), and its `heading` (...) in rad if it
     is a unicycle; its elements' `element_position`, `element_velocity` (..., K, 2), `element_radius` (..., K); m and
-    m/s. An element with a NaN position is absent: place, distance
-    and force are NaN in its row. If K = 0, one absent element holds the robot's
-    columns. Raises ValueError for other shapes.
+    m/s. An element with a NaN position is absent: its place, distance and force are NaN. If K = 0, one absent element
+    holds the robot's columns. Raises ValueError for other shapes.
     """
     position, velocity, goal = vectors("position", position), vectors("velocity", velocity), vectors("goal", goal)
     element_position, element_velocity, element_radius = _elements(element_position, element_velocity, element_radius)

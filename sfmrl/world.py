@@ -14,7 +14,7 @@ import numpy as np
 
 from sfmrl.batch import Batch
 from sfmrl.config import Simulation
-from sfmrl.geometry import closest_approach, direction, length, limit, square_gap, unit_at, vectors, wrapped
+from sfmrl.geometry import broadcast, closest_approach, direction, length, limit, square_gap, unit_at, vectors, wrapped
 from sfmrl.orca import Edges, orca_velocities, polygon_edges
 from sfmrl.rewards import COLLISION, RUNNING, SUCCESS, TIMEOUT, Transition
 from sfmrl.scenes import Scenes
@@ -171,8 +171,8 @@ CROWDS = {"orca": orca_crowd, "sfm": sfm_crowd}
 def transition(world: World, action: np.ndarray) -> Transition:
     """The step in which the robot moves with `action`, (E, 2) or many at once, (E, A, 2), in m/s.
 
-    It is the robot's velocity: for a unicycle, pass what it can `drive`. Raises ValueError for other shapes, and unless
-    it is finite.
+    `action` is the robot's velocity; for a unicycle, what it can `drive`. Raises ValueError for other shapes and for
+    numbers that are not finite.
     """
     action = _checked(world, action)
     agents = (world.position, world.velocity, world.goal, world.radius, world.v_pref)
@@ -248,10 +248,13 @@ def turned_actions(actions: np.ndarray, before: World, after: World) -> np.ndarr
 def advance(world: World, velocity: np.ndarray, action: np.ndarray) -> World:
     """The world after a step with everybody's `velocity` (E, N, 2), except the robot's, `action` (E, 2), in m/s.
 
-    A unicycle robot drives the part of the action that it can (`drive`). Raises ValueError for other shapes, and if the
-    action is not finite.
+    A unicycle robot drives the part of the action that it can (`drive`). Raises ValueError for other shapes, and for an
+    action that is not finite.
     """
-    action, velocity = _checked(world, action), np.array(velocity, dtype=float)
+    action = _checked(world, action)
+    if action.ndim != 2:
+        raise ValueError(f"action must have shape ({len(world)}, 2), not {action.shape}")
+    velocity = broadcast("velocity", velocity, world.position.shape).copy()
     velocity[:, 0] = drive(world, action)
     position = world.position + velocity * world.simulation.time_step
     heading = turned(world, action)

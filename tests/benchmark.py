@@ -28,10 +28,10 @@ from sfmrl.exploration import remember
 from sfmrl.fast import as_fast, kernels
 from sfmrl.imitation import Fit, demonstrate, fill_memory, fit_memory, make_memory
 from sfmrl.learning import OPTIMIZERS, Learner, learn
-from sfmrl.lookahead import SarlPolicy, available_cores
+from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.placement import BARRIER
-from sfmrl.policies import orca_policy
+from sfmrl.policies import available_cores, orca_policy
 from sfmrl.recovery import RecoveringPolicy
 from sfmrl.recovery.planner import plan
 from sfmrl.runs.create import create_run, start_run

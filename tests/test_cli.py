@@ -824,20 +824,26 @@ def test_a_setting_that_changes_nothing_is_refused_by_the_policy_that_judges(in_
     words = ("sarl-sfm2", "orca", "--k", "0.003", "--environment", "circle0", "--episodes", "1")
     assert in_process("compare", *words).returncode == 0  # the first one's reward reads k
     assert_one_line_error(in_process("compare", "orca", "sarl-sfm2", *words[2:]), "--k changes nothing")
+    recovery = ("--stall-time", "2", *words[4:])
+    assert in_process("compare", "orca", "sarl-sfm2", *recovery).returncode == 0  # the second has recovery
+    assert_one_line_error(in_process("compare", "orca", "linear", *recovery), "--stall-time changes nothing")
 
 
 def test_what_is_trained_further_on_another_task_is_told(in_process):
     words = ("--episodes", "1", "--validation-episodes", "1", "--test-episodes", "1", "--run")
     said = in_process("rl", "--from", "sarl-sfm2-unicycle", *words, "one").stderr
-    changed = "trained with --reward sfm --kinematics unicycle, and goes on with --reward crowd --kinematics holonomic"
+    changed = "trained with --reward sfm --kinematics unicycle; this training has --reward crowd --kinematics holonomic"
     assert changed in said
-    assert "goes on" not in in_process("rl", "--variant", "sarl-sfm2", "--from", "sarl-sfm2", *words, "two").stderr
+    same = in_process("rl", "--variant", "sarl-sfm2", "--from", "sarl-sfm2", *words, "two").stderr
+    assert "this training has" not in same
 
 
 def test_what_il_says_to_type_next_has_its_own_variant(in_process):
     said = in_process("il", *TINY_IL, "--variant", "sarl-sfm6", "--run", "six").stderr
     assert "next: sfmrl rl --variant sarl-sfm6 --from six" in said
     assert_one_line_error(in_process("rl", "--crowd", "sfm"), "type sfmrl il --preset quick --seed 0 --crowd sfm")
+    solid = in_process("rl", "--preset", "paper", "--squares", "solid")  # paper's own are discs
+    assert_one_line_error(solid, "type sfmrl il --preset paper --seed 0 --squares solid")
 
 
 def test_a_run_is_replaced_only_if_the_new_one_can_start(in_process, tmp_path):
@@ -846,7 +852,7 @@ def test_a_run_is_replaced_only_if_the_new_one_can_start(in_process, tmp_path):
     (tmp_path / "bad.py").write_text("def reward(transition, settings):\n    return [1.0]\n")
     before = {path: path.read_bytes() for path in (tmp_path / "rl").iterdir()}
     again = ("rl", *TINY_RL, "--run", "rl", "--overwrite")
-    assert_one_line_error(in_process(*again, "--from", "rl/best.npz"), "rl/best.npz is to start from", "--run")
+    assert_one_line_error(in_process(*again, "--from", "rl/best.npz"), "--run rl would replace rl/best.npz, from which")
     assert_one_line_error(in_process(*again, "--from-scratch", "--reward", "bad.py:reward"), "shape (1,)")
     (tmp_path / "il" / "demonstrations.npz").unlink()
     assert_one_line_error(in_process(*again, "--from", "il"), "il/demonstrations.npz")

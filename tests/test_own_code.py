@@ -15,7 +15,7 @@ from sfmrl.config import Config, ConfigError, Planner, Reward, Simulation, Untru
 from sfmrl.episodes import Record, play, play_episodes
 from sfmrl.evaluation import evaluate
 from sfmrl.network import ValueNetwork
-from sfmrl.own_code import UntrustedReward, trusted
+from sfmrl.own_code import UntrustedReward, code_digest, trusted
 from sfmrl.policies import load_policy
 from sfmrl.recovery import with_recovery
 from sfmrl.rewards import Transition, reward_terms
@@ -113,7 +113,7 @@ def test_a_reward_s_slip_is_one_line_with_its_file_and_line_and_what_to_change(o
 
 
 def test_a_reward_of_one_argument_is_an_error_that_names_both(own):
-    with pytest.raises(ConfigError, match=r"takes_one.*; define it with two arguments, \(transition, settings\)$"):
+    with pytest.raises(ConfigError, match=r"takes_one.*; define it with the arguments \(transition, settings\)$"):
         play(SCENES, "linear", reward="own.py:takes_one")
 
 
@@ -275,14 +275,15 @@ def test_a_reward_that_a_file_names_is_run_only_if_the_user_names_or_trusts_it(o
     play(SCENES.take([0]), handed, reward="own.py:calm")
 
 
-def test_a_reward_is_trusted_where_its_file_is_now_once_it_is_not_where_it_was(tmp_path):
+def test_a_reward_whose_file_has_moved_is_trusted_by_its_digest(tmp_path):
     was, now = tmp_path / "was.py", tmp_path / "now.py"
     now.write_text("def same(transition, settings):\n    return 0.0 * transition.time\n")
-    config = Config.from_json(Config(reward=Reward(reward=f"{was}:same")).to_json())
-    assert trusted(config, f"{now}:same").reward.reward == f"{now}:same"
-    assert isinstance(trusted(config, f"{now}:other").reward.reward, Untrusted)
+    config, digest = Config.from_json(Config(reward=Reward(reward=f"{was}:same")).to_json()), code_digest(f"{now}:same")
+    assert trusted(config, f"{now}:same", digest).reward.reward == f"{now}:same"
+    assert isinstance(trusted(config, f"{now}:same").reward.reward, Untrusted)  # of a weights file alone
+    assert isinstance(trusted(config, f"{now}:other", digest).reward.reward, Untrusted)
     was.write_text("")
-    assert isinstance(trusted(config, f"{now}:same").reward.reward, Untrusted)
+    assert isinstance(trusted(config, f"{now}:same", digest).reward.reward, Untrusted)
 
 
 def test_a_module_that_a_file_names_is_not_imported_and_sfmrl_s_own_rewards_need_no_trust():

@@ -101,7 +101,7 @@ def test_a_module_is_found_by_its_name(own, monkeypatch):
     ("name", "error"),
     [
         ("fails", r"own.py:fails \(line 25\) failed: AttributeError: 'World' object has no attribute 'speed'"),
-        ("takes_one", r"own.py:takes_one failed: .*; define it with two arguments, \(world, crowd_velocity\)"),
+        ("takes_one", r"own.py:takes_one failed: .*; define it with the arguments \(world, crowd_velocity\)"),
         ("one_for_all", r"own.py:one_for_all \(line 32\) returned an array of shape \(2,\); it must .* shape \(6, 2\)"),
         ("too_fast", r"own.py:too_fast returned a velocity of 2 m/s; it must return none above v_pref, 1 m/s"),
         ("overwrites", r"own.py:overwrites \(line 41\) failed: .* read-only: work on a copy"),
@@ -170,7 +170,9 @@ class Broken:
         action = np.zeros((len(world), 2))
         if self.what == "explain":
             return action
-        return action, {"values": [0.5] * len(world)}
+        if self.what == "notes":
+            return action, {"values": [0.5] * 3}
+        return action, {"values": np.full(len(world), 0.5)}
 
     def __call__(self, world, crowd_velocity):
         return np.zeros((len(world), 2))
@@ -187,6 +189,10 @@ def fails_to_begin():
 
 def fails_to_explain():
     return Broken("explain")
+
+
+def wrong_notes():
+    return Broken("notes")
 
 
 def notes_of_its_own():
@@ -207,6 +213,17 @@ def network():
     from sfmrl import load_policy
 
     return load_policy("sarl").original
+
+
+def fails_later():
+    from sfmrl import SarlPolicy
+
+    class Mine(SarlPolicy):
+        def __call__(self, world, crowd_velocity):
+            return 1 / 0
+
+    policy = network()
+    return Mine(policy.network, policy.config)
 """
 
 
@@ -214,8 +231,9 @@ def network():
     ("name", "said"),
     [
         ("fails_to_begin", "begin of policy FILE:fails_to_begin() (line 12) failed: ZeroDivisionError"),
-        ("takes_one", "define it with two arguments, (scenes, simulation)"),
-        ("fails_to_explain", "must return its actions, and notes by name"),
+        ("takes_one", "define it with the arguments (scenes, simulation)"),
+        ("fails_to_explain", "must return (actions, notes), the notes a dict"),
+        ("wrong_notes", "must return arrays as notes, a row for each episode"),
         ("no_batch", "batch is 0; it must be at least 1"),
     ],
 )
@@ -236,15 +254,17 @@ def test_recovery_makes_a_network_of_a_user_s_look_farther_ahead_too(tmp_path):
     (tmp_path / "broken.py").write_text(BROKEN)
     policy = load_policy(f"{tmp_path}/broken.py:network()")
     assert with_recovery(policy, Planner(recover=True)).policy.trap_steps == load_policy("sarl").policy.trap_steps == 2
+    assert policy.trap_steps == 1
+    failing = with_recovery(load_policy(f"{tmp_path}/broken.py:fails_later()"), Planner(recover=True))
+    with pytest.raises(ConfigError, match="ZeroDivisionError"):
+        play(SCENES, failing)
 
 
-def test_a_file_imports_those_beside_it(own, tmp_path):
-    (tmp_path / "beside.py").write_text("SPEED = 0.5")
-    own.write_text(
-        OWN + "\n\ndef slow(world, crowd_velocity):\n    from beside import SPEED\n\n"
-        "    return SPEED * straight(world, crowd_velocity)\n"
-    )
-    assert play(SCENES, f"{own}:slow").velocity[0, 1, 0, 1] == 0.5
+def test_what_a_file_needs_must_be_in_it_or_installed(own):
+    (own.parent / "beside.py").write_text("SPEED = 0.5")
+    own.write_text("from beside import SPEED\n" + OWN)
+    with pytest.raises(ConfigError, match="No module named 'beside'; only this one file is run"):
+        load_policy(f"{own}:straight")
 
 
 def test_the_digest_of_a_module_is_its_file_s_and_no_package_is_run(own, tmp_path, monkeypatch):
@@ -252,6 +272,10 @@ def test_the_digest_of_a_module_is_its_file_s_and_no_package_is_run(own, tmp_pat
     (tmp_path / "package").mkdir()
     (tmp_path / "package" / "__init__.py").write_text("raise RuntimeError")
     (tmp_path / "package" / "inner.py").write_text("SPEED = 1")
+    (tmp_path / "spaces" / "deep").mkdir(parents=True)
+    (tmp_path / "spaces" / "deep" / "own.py").write_text("SPEED = 2")
     assert code_digest("own:straight") == hashlib.sha256(own.read_bytes()).hexdigest()
     assert code_digest("package.inner:SPEED") == hashlib.sha256(b"SPEED = 1").hexdigest()
+    assert code_digest("spaces.deep.own:SPEED") == hashlib.sha256(b"SPEED = 2").hexdigest()
     assert code_digest("nowhere.inner:SPEED") is None
+    assert code_digest("crowd") is None

@@ -148,8 +148,7 @@ def test_mypy_knows_what_the_public_names_take_and_return(tmp_path):
     (tmp_path / "user.py").write_text(USER, encoding="utf-8")
     # torch takes most of the time, and nothing here needs its types.
     (tmp_path / "mypy.ini").write_text("[mypy]\nstrict = True\n[mypy-torch.*]\nfollow_imports = skip\n")
-    cache = ["--cache-dir", ROOT / ".mypy_cache" / "user"]
-    words = [sys.executable, "-m", "mypy", "--follow-imports=silent", *cache, "user.py"]
+    words = [sys.executable, "-m", "mypy", "--follow-imports=silent", "user.py"]
     done = subprocess.run(
         words, cwd=tmp_path, env=environment() | {"MYPYPATH": str(ROOT)}, capture_output=True, text=True, check=False
     )
@@ -157,6 +156,13 @@ def test_mypy_knows_what_the_public_names_take_and_return(tmp_path):
         f"user.py:{len(USER.splitlines())}: error: Unexpected keyword argument"
     )
     assert "Found 1 error in 1 file" in done.stdout
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "tests").glob("[bm]*.py")), ids=lambda path: path.stem)
+def test_the_scripts_for_contributors_can_be_imported(path):
+    for needed in ("pyrvo", "matplotlib"):
+        pytest.importorskip(needed)
+    importlib.import_module(path.stem)
 
 
 @pytest.mark.parametrize("name", sfmrl.__all__)
@@ -180,6 +186,7 @@ def test_the_wheel_holds_sfmrl_alone_and_asks_for_four_packages(tmp_path):
         shutil.copy(ROOT / name, source)
     for name in ("sfmrl", "tests", "tutorials"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__", "data"))
+    pytest.importorskip("setuptools", "77")
     words = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", tmp_path, source]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

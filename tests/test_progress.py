@@ -145,11 +145,11 @@ def test_signals_held_back_come_after_the_block_and_not_to_processes_started_in_
 
 
 def test_progress_in_a_pipe_is_a_line_after_two_seconds_and_then_every_ten(monkeypatch):
-    now = iter([0.0, 1.0, 3.0, 8.0, 13.5])
-    monkeypatch.setattr("sfmrl.runs.progress.time", SimpleNamespace(monotonic=lambda: next(now)))
+    now = [0.0]
+    monkeypatch.setattr("sfmrl.runs.progress.time", SimpleNamespace(monotonic=lambda: now[0]))
     console = Console(file=io.StringIO(), force_terminal=False)
     with show_progress(console)("test", 100) as advance:
-        for _ in range(4):
+        for now[0] in (1.0, 3.0, 8.0, 13.5):
             advance(10)
     lines = ["test: 20 of 100, 6.7/s, 12 s left", "test: 40 of 100, 3.0/s, 20 s left"]
     assert console.file.getvalue().splitlines() == lines

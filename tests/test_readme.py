@@ -67,5 +67,7 @@ def test_the_table_of_the_code_names_every_core_file_and_about_how_long_it_is():
         path.stem: len(path.read_text(encoding="utf-8").splitlines()) for path in (ROOT / "sfmrl").glob("[a-z]*.py")
     }
     assert dict(listed).keys() == core.keys()
+    (whole,) = re.findall(r"are the algorithm, ([\d,]+) lines", README)
+    assert abs(int(whole.replace(",", "")) - sum(core.values())) <= 100
     for name, lines in listed:
         assert abs(int(lines) - core[name]) <= max(5, core[name] / 10), name

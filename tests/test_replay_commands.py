@@ -62,6 +62,7 @@ def test_a_size_is_kept_in_a_pipe(sfmrl):
         (("--svg", "a", "--frames", "3", "--at", "2"), ("--frames and --at",)),
         (("--scenes", "--svg", "a"), ("--scenes", "leave out --svg")),
         (("--scenes", "--versus", "orca"), ("--scenes", "leave out --versus")),
+        (("--scenes", "--at", "0"), ("--scenes plays nothing; leave out --at",)),
         (("--scenes",), ("--scenes plays nothing; leave out the policy linear",)),
         (("--draw", "--environment", "2"), ("--draw plays nothing; leave out the policy linear",)),
         (("--versus", "ocra"), ("there is no policy ocra", "orca")),

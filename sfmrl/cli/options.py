@@ -122,12 +122,12 @@ def command(example: str, *sections: str) -> Callable[[Callable[..., None]], Cal
 
 def _with_options(function: Callable[..., None], sections: tuple[str, ...]) -> Callable[..., None]:
     """Return what Typer calls: it takes each option as a parameter, and calls `function` with groups and settings."""
-    knobs, tests = _knobs(sections), "test" in inspect.signature(function).parameters
+    knobs, plays = _knobs(sections), "test" in inspect.signature(function).parameters
     groups: dict[str, Any] = {}
     parameters: list[inspect.Parameter] = []
     for parameter in inspect.signature(function).parameters.values():
         if parameter.name == "settings":
-            parameters += [_parameter(section, item, tests) for section, item in knobs]
+            parameters += [_parameter(section, item, plays) for section, item in knobs]
             parameters.append(inspect.Parameter("help_all", KEYWORD, default=HELP_ALL, annotation=bool))
         elif is_dataclass(parameter.annotation):
             groups[parameter.name] = parameter.annotation
@@ -175,15 +175,15 @@ def _section(config: Config, name: str) -> Any:
     return getattr(config, name) if name else config
 
 
-def _parameter(section: str, item: Field, tests: bool) -> inspect.Parameter:
+def _parameter(section: str, item: Field, plays: bool) -> inspect.Parameter:
     """The option of a knob: None if it is not given.
 
-    The help text says its value in each preset; where the command `tests` a policy, its own is the default.
+    The help text says its value in each preset; where the command `plays` a policy, its own is the default.
     """
     values = {preset: _text(getattr(_section(config, section), item.name)) for preset, config in DEFAULTS.items()}
     alike = item.name == "preset" or len(set(values.values())) == 1
     default = f"default {values['quick']}" if alike else ", ".join(f"{name} {value}" for name, value in values.items())
-    if tests:
+    if plays:
         default = f"default the policy's, else {_text(item.default)}"
     choices, flag = item.metadata["choices"], item.name.replace("_", "-")
     listed = f" ({' | '.join(choices)})" if choices else ""

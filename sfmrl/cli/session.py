@@ -22,14 +22,15 @@ def exclude(given: dict[str, Any]) -> None:
         raise ConfigError(f"{' and '.join(flags)} exclude each other; leave out one of them")
 
 
-def check_planner(planner: Planner, given: Iterable[str]) -> None:
-    """Raise ConfigError if a setting of recovery is `given` where there is none."""
-    if not planner.recover and (needless := [name for name in given if name != "recover"]):
+def check_planner(planners: Iterable[Planner], given: Iterable[str]) -> None:
+    """Raise ConfigError if a setting of recovery is `given` and none of the `planners` has recovery."""
+    needless = [name for name in given if name != "recover"]
+    if needless and not any(planner.recover for planner in planners):
         raise ConfigError(f"--{needless[0].replace('_', '-')} changes nothing without recovery; add --recover")
 
 
 def say_differing_settings(path: Path, config: Config) -> None:
-    """Say what the files beside a CrowdNav checkpoint set otherwise than this config."""
+    """Say where the files beside a CrowdNav checkpoint differ from this config."""
     from sfmrl.runs.crowdnav import differing_settings
 
     for note in differing_settings(path, config.simulation.robot_visible, config.simulation.kinematics):
@@ -89,18 +90,30 @@ class TestOptions:
         crowd["random_attributes"] = config.simulation.random_attributes
         return sample_scenes(environment, [episode], self.seed, **crowd)
 
-    def choose(self, policy: str | None, settings: dict[str, Any], *, judges: bool = True) -> tuple[Any, str, Config]:
+    def choose(self, policy: str | None, settings: dict[str, Any]) -> tuple[Any, str, Config]:
         """Return the policy, by default the newest finished run, its name, and its config with settings changed.
-
-        Of several policies, the first one's reward `judges` all.
 
         The reward that a network looks ahead with is run if it is sfmrl's, if --reward names it, or with
         --trust-reward.
         """
+        (chosen,), (name,), config = self.choose_all([policy], settings)
+        return chosen, name, config
+
+    def choose_all(
+        self, policies: Sequence[str | None], settings: dict[str, Any]
+    ) -> tuple[list[Any], list[str], Config]:
+        """Return policies and their names, as `choose` does, and the config of the first, whose reward judges all."""
+        from sfmrl.rewards import check_read
+
+        chosen, names, configs = map(list, zip(*(self._choose(policy, settings) for policy in policies), strict=True))
+        check_read(configs[0].reward, settings.get("reward", {}))
+        check_planner([config.planner for config in configs], settings.get("planner", {}))
+        return chosen, names, configs[0]
+
+    def _choose(self, policy: str | None, settings: dict[str, Any]) -> tuple[Any, str, Config]:
         from sfmrl.own_code import names_code
         from sfmrl.policies import POLICIES, config_of, load_policy
         from sfmrl.recovery import with_recovery
-        from sfmrl.rewards import check_read
         from sfmrl.runs.weights import find_weights, model_names
 
         name = policy or str(newest_run(say))
@@ -109,19 +122,9 @@ class TestOptions:
         trust = self.trust_reward or settings.get("reward", {}).get("reward", False)
         chosen = load_policy(name, self.threads, trust_reward=trust)
         config = override(config_of(chosen), settings)
-        if judges:
-            check_read(config.reward, settings.get("reward", {}))
-            check_planner(config.planner, settings.get("planner", {}))
         if name not in (*POLICIES, *model_names()) and not names_code(name):
             say_differing_settings(find_weights(name), config)
         return with_recovery(chosen, config.planner), name, config
-
-    def choose_all(
-        self, policies: Sequence[str | None], settings: dict[str, Any]
-    ) -> tuple[list[Any], list[str], Config]:
-        """Return policies, their names, and the first one's config, as `choose` does."""
-        chosen = [self.choose(policy, settings, judges=not number) for number, policy in enumerate(policies)]
-        return [policy for policy, _, _ in chosen], [name for _, name, _ in chosen], chosen[0][2]
 
     def play(self, policies: Sequence[Any], config: Config, episodes: int, settings: dict[str, Any]) -> list[Any]:
         """Return the records of policies that play the same test episodes.

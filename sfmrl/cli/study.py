@@ -51,7 +51,7 @@ class Selection:
         if not any(runs.values()):
             raise ConfigError(
                 f"{self.folder} holds no finished run of table {number}, {self.preset} preset, with these options; "
-                f"give the same ones to sfmrl table {number}, which trains, or name another --folder"
+                f"train them with sfmrl table {number} and the same options, or name another --folder"
             )
         wanted = len(runs) * len(self.rows_and_seeds(number)[1])
         if missing := wanted - sum(len(trained.seeds) for trained in runs.values() if trained):

@@ -75,7 +75,7 @@ class TrainingOptions:
                     config = override(config, _values(named, entry))
         config = override(config, settings)
         check_read(config.reward, settings.get("reward", {}))
-        check_planner(config.planner, settings.get("planner", {}))
+        check_planner([config.planner], settings.get("planner", {}))
         return config
 
 
@@ -100,9 +100,9 @@ def il(variant: str | None = VARIANT, *, settings: dict[str, Any], training: Tra
     if training.go_on and _already_finished(run):
         return
     _train(run, lambda progress, stop: run_imitation(run, progress, stop))
-    plain, made = asdict(Config()), asdict(run.config)
-    needed = {name: made[name] for name in ("preset", "seed") if made[name] != plain[name]}
-    needed |= {name: value for name, value in made["simulation"].items() if value != plain["simulation"][name]}
+    usual, made = asdict(make_config(run.config.preset)), asdict(run.config)
+    needed = {name: made[name] for name, plain in (("preset", "quick"), ("seed", 0)) if made[name] != plain}
+    needed |= {name: value for name, value in made["simulation"].items() if value != usual["simulation"][name]}
     named = run.facts["variant"] in VARIANTS and run.facts["variant"] != "sarl"
     which = ["--variant", run.facts["variant"]] if named else ["--reward", "sfm", *["--forces"] * run.config.forces]
     following = ["sfmrl", "rl", *which, "--from", str(run.folder), *as_options(needed)]
@@ -167,26 +167,15 @@ def _new_config(
 
 
 def _say_start(run: Any) -> None:
-    """Say what a reinforcement starts from, and what changes for a network that was trained on another task."""
-    from sfmrl.runs.weights import load_weights
-
+    """Say what a reinforcement starts from, and what changes for a network that was trained otherwise."""
     if run.imitation:
         say(f"from imitation run {run.imitation}")
     if weights := run.facts.get("weights"):
         prior = "with" if run.config.value_prior else "without"
         say(f"from the network in {weights['file']}, {prior} value-prior as there")
         say_differing_settings(Path(weights["file"]), run.config)
-        if (path := Path(weights["file"])).is_file():  # it may be gone when the training goes on
-            theirs, ours = _task(load_weights(path)[1]), _task(run.config)
-            changed = [name for name in theirs if theirs[name] != ours[name]]
-            before, now = (shlex.join(as_options({name: task[name] for name in changed})) for task in (theirs, ours))
-            if changed:
-                say(f"it was trained with {before}, and goes on with {now}")
-
-
-def _task(config: Config) -> dict[str, Any]:
-    """Return the settings that decide what a robot has to learn: its reward's name, and the simulation."""
-    return {"reward": config.reward.reward} | asdict(config.simulation)
+        if "trained_with" in weights:
+            say(f"it was trained with {weights['trained_with']}; this training has {weights['goes_on_with']}")
 
 
 def on_run(command: str, run: Any) -> str:
@@ -216,7 +205,8 @@ def _train(run: Any, work: Callable[..., Any]) -> Any:
     from sfmrl.runs.run import sole_use
 
     how = on_run(f"{run.kind} --resume", run)
-    if run.facts.get("own_reward") != code_digest(run.config.reward.reward):
+    began = run.facts.get("own_reward")
+    if began is not None and began != code_digest(run.config.reward.reward):
         raise ConfigError(f"{run.config.reward.reward} has changed since {run.folder} began; start a new run with it")
     reward_terms(run.config.reward)  # raises an error that says why, if it cannot or must not be used
     with sole_use(run), StopSignal(say) as stop:

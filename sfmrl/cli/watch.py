@@ -77,7 +77,7 @@ def ascii_render(
     exclude({"--scenes": scenes, "--draw": draw})
     unplayed = {"--svg": look.svg, "--cast": look.cast, "--frames": look.frames, "--at": look.at, "--versus": versus}
     unplayed[f"the policy {policy}"] = policy
-    if (scenes or draw) and (needless := [flag for flag, value in unplayed.items() if value]):
+    if (scenes or draw) and (needless := [flag for flag, value in unplayed.items() if value is not None]):
         raise ConfigError(f"{'--scenes' if scenes else '--draw'} plays nothing; leave out {needless[0]}")
     room, config = look.room(), override(Config(), settings)
     if draw:

@@ -64,8 +64,9 @@ class FastNetwork:
     def load_state_dict(self, parameters: Parameters) -> None:
         """Copy the parameters that `state_dict` returned into this network; raises ValueError for other shapes."""
         for name, value in self.parameters.items():
-            if parameters[name].T.shape != value.shape:
+            if parameters[name].shape != value.T.shape:
                 raise ValueError(f"{name} has shape {parameters[name].shape}, not {value.T.shape}")
+        for name, value in self.parameters.items():
             value[...] = parameters[name].T
 
     def copy(self) -> "FastNetwork":

@@ -144,18 +144,17 @@ def _weights(run: Run) -> str:
 def _own_reward(run: Run, trust: bool) -> str | Finding:
     """A user's reward exists and has not changed; without `trust`, it is not judged and must not be run."""
     name, digest = run.config.reward.reward, run.facts["own_reward"]
-    if digest is None:
-        return Finding("reward", None, f"{name} is code of which the run has no SHA-256; it is not run")
-    if not trust and name.rpartition(":")[0].endswith(".py") and not Path(name.rpartition(":")[0]).is_file():
-        said = f"{name} is not here, so the network is not played; put that file there, then add --trust-reward"
+    file = name.rpartition(":")[0]
+    if not trust and file.endswith(".py") and not Path(file).is_file():
+        said = f"there is no {file}, so the network was not played; put the file there, then add --trust-reward"
         return Finding("reward", None, said)
-    if digest != code_digest(name):
+    if digest is not None and digest != code_digest(name):
         raise Disagreement(f"{name} is not the file that the run was trained with; put that one there")
     if not trust:
         unchecked = "that the network does what test.csv and result.json say" if run.kind == "rl" else "nothing here"
         said = f"{name} was not run, which leaves unchecked {unchecked}; read that code, then add --trust-reward"
         return Finding("reward", None, said)
-    return f"{name} is what the run was trained with"
+    return f"{name} is what the run was trained with" if digest else f"{name}: the run recorded no SHA-256 of it"
 
 
 def _versions(run: Run) -> str | Finding:

@@ -31,13 +31,13 @@ SOLID = 1e4  # ... and of a metre on which it touches one
 UNREACHABLE = 500.0  # m: longer than any detour, shorter than a cell of a square
 FARTHEST = 150.0  # m from the robot's start to squares that `shortest_path` heeds, for which a grid has room
 TOGETHER = MOST_CELLS // MOST_ACROSS**2  # scenes whose grids together are never too large
-OUTLINES = Planner(inflation=0.0)  # paths may touch the squares' outlines
+NO_INFLATION = Planner(inflation=0.0)  # paths may touch the squares' outlines
 GRID_ERROR = 1.015  # no distance over a grid is longer than this, times the true one
 
 
 @dataclass(frozen=True)
 class Geodesics:
-    """Distances to the goal over the grids of E scenes, weighted: see above for the cells near and in squares.
+    """Distances to the goal over the grids of E scenes; a metre near a square counts as 10 m, one inside as 10,000 m.
 
     values (E, Y, X): m, float32, +inf beyond a scene's own grid
     corner (E, 2): m, where the first cell's centre is
@@ -117,7 +117,7 @@ def plan(scenes: Scenes, planner: Planner = Planner(), reach: np.ndarray | None 
 def solvable(scenes: Scenes) -> np.ndarray:
     """Whether a path leads from the robot's start to its goal without touching a square's outline, (E,).
 
-    A passage may count as closed if it is less than 1.5 cells (`resolution`) wider than the robot.
+    A passage may count as closed if it is less than 0.15 m wider than the robot.
     """
     return np.isfinite(shortest_path(scenes))
 
@@ -135,7 +135,7 @@ def shortest_path(scenes: Scenes) -> np.ndarray:
     for e in range(0, len(among_squares), TOGETHER):
         rows = among_squares[e : e + TOGETHER]
         some, reach = scenes.take(rows), np.minimum(straight[rows], FARTHEST)
-        around[rows] = plan(some, OUTLINES, reach).at(np.arange(len(rows)), some.start[:, 0])
+        around[rows] = plan(some, NO_INFLATION, reach).at(np.arange(len(rows)), some.start[:, 0])
     around = np.where(around < GRID_ERROR * straight, straight, around)  # straight lines are exact
     return np.where(around - straight < UNREACHABLE, around, np.inf)
 

@@ -35,8 +35,13 @@ class RecoveringPolicy:
         self.policy, self.planner, self.original = policy, planner, policy
         network = policy.own if isinstance(policy, OwnPolicy) else policy
         if isinstance(network, SarlPolicy):
-            self.policy = copy.copy(network)
-            self.policy.trap_steps = TRAP_STEPS
+            farther = copy.copy(network)
+            farther.trap_steps = TRAP_STEPS
+            if isinstance(policy, OwnPolicy):  # which explains errors
+                self.policy = copy.copy(policy)
+                self.policy.own = farther
+            else:
+                self.policy = farther
         self._geodesics: Geodesics | None = None
 
     def __repr__(self) -> str:

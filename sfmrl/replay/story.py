@@ -20,7 +20,7 @@ from sfmrl.rewards import OwnReward, reward_terms, too_close, total
 from sfmrl.sfm import repulsive_forces
 
 ELEMENT_GLYPHS = digits[1:] + ascii_letters
-LOOK = {"actions", "values", "best"}  # the notes of a `SarlPolicy`
+LOOKAHEAD_NOTES = {"actions", "values", "best"}  # the notes of a `SarlPolicy`
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def make_story(record: Record, policy: Policy | None, reward: Reward | OwnReward
     factors = step_discount(discount, scenes.v_pref[0, 0], record.simulation) ** np.arange(steps)
     close = too_close(step, reward if isinstance(reward, Reward) else Reward())
     notes = {name: array[0, :steps] for name, array in record.notes.items()}
-    looks = notes.keys() >= LOOK and hasattr(policy, "attention") and len(scenes.radius[0]) > 1
+    looks = notes.keys() >= LOOKAHEAD_NOTES and hasattr(policy, "attention") and len(scenes.radius[0]) > 1
     return Story(
         name=scene_name(scenes.environment[0], scenes.episode[0]),
         time=moments.time,

@@ -16,7 +16,7 @@ from sfmrl.config import Config, ConfigError, as_options
 from sfmrl.own_code import code_digest
 from sfmrl.rewards import reward_terms
 from sfmrl.runs.bits import versions
-from sfmrl.runs.files import SUMS, DamagedFile, digest_of, read_checked, read_sums, sha256, write_together
+from sfmrl.runs.files import SUMS, DamagedFile, digest_of, read_checked, read_sums, write_together
 from sfmrl.runs.folders import (
     DEMONSTRATIONS,
     FIRST,
@@ -38,7 +38,7 @@ from sfmrl.runs.run import Run, open_run
 from sfmrl.runs.weights import find_weights, load_weights, model_names
 from sfmrl.scenes import DRAWN, parse_mix, sample_scenes
 from sfmrl.states import column_names
-from sfmrl.variants import variant_name
+from sfmrl.variants import make_config, variant_name
 from sfmrl.world import reset, transition
 
 
@@ -57,7 +57,7 @@ def create_run(  # type: ignore[return]  # its loop over count(1) ends by a retu
     If `folder` holds a run, `overwrite` replaces it, and `go_on` opens it if it has the same config. `imitation` is the
     run that this one starts from; its path is stored relative to the new folder, so that both can be moved together.
     `facts` go into run.json. Raises ConfigError if the folder cannot be used, or the config names an unknown
-    environment or reward.
+    environment, or a reward that is unknown or fails.
     """
     check_names(config)
     if go_on and folder is not None and kind_of(folder):
@@ -175,7 +175,7 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
     if from_scratch:
         return create_run("rl", config, folder, **existing)
     if source is not None and folder is not None and folder.resolve() in (source.resolve(), source.resolve().parent):
-        raise ConfigError(f"{source} is to start from, and {folder} to be written; name another --run")
+        raise ConfigError(f"--run {folder} would replace {source}, from which the training starts; name another --run")
     if source is not None and source.is_file():
         config, weights = _start_from_weights(config, source)
         return create_run("rl", config, folder, **existing, weights=weights)
@@ -186,7 +186,9 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
     if imitation.config.simulation != config.simulation:
         raise ConfigError(f"the demonstrations of {source} come from another simulation; name another --from")
     config = replace(config, imitation=imitation.config.imitation)
-    demonstrations, _ = (sha256(read_checked(source / name)) for name in (DEMONSTRATIONS, WEIGHTS))
+    for name in (DEMONSTRATIONS, WEIGHTS):
+        read_checked(source / name)  # raises now, before anything is replaced
+    demonstrations = read_sums(source)[DEMONSTRATIONS]
     return create_run("rl", config, folder, source, **existing, demonstrations=demonstrations)
 
 
@@ -204,14 +206,23 @@ def _started(config: Config, source: Path | None, from_scratch: bool, folder: Pa
 
 
 def _start_from_weights(config: Config, source: Path) -> tuple[Config, dict[str, str]]:
-    """The config of a training that starts from a weights file, and the file's path and digest for run.json."""
-    network, _ = load_weights(source)
+    """The config of a training that starts from a weights file; for run.json, the file, its digest, and what changes.
+
+    What changes are the settings that decide what a network has to learn; CrowdNav's files do not say theirs.
+    """
+    network, trained = load_weights(source)
     if network.forces != config.forces:
         columns, here = (len(column_names(forces)) for forces in (network.forces, config.forces))
         remedy = "--forces" if network.forces else "--no-forces, and a variant without"
         raise ConfigError(f"{source} reads {columns} columns, this training {here}; choose {remedy}")
     config = replace(config, value_prior=network.value_prior)
-    return config, {"file": str(source.resolve()), "sha256": digest_of(source)}
+    theirs, ours = ({"reward": c.reward.reward} | asdict(c.simulation) for c in (trained, config))
+    changed = [name for name in theirs if theirs[name] != ours[name]]
+    if trained == Config(preset="paper", forces=network.forces):  # a checkpoint of CrowdNav's
+        changed = []
+    before, now = (shlex.join(as_options({name: task[name] for name in changed})) for task in (theirs, ours))
+    facts = {"file": str(source.resolve()), "sha256": digest_of(source)}
+    return config, facts | ({"trained_with": before, "goes_on_with": now} if changed else {})
 
 
 def _newest_fitting(config: Config) -> Path:
@@ -225,8 +236,8 @@ def _newest_fitting(config: Config) -> Path:
             continue
         if all(getattr(made, name) == getattr(config, name) for name in ("preset", "seed", "simulation")):
             return folder
-    plain = asdict(Config().simulation)
-    simulation = {name: value for name, value in asdict(config.simulation).items() if value != plain[name]}
+    usual = asdict(make_config(config.preset).simulation)
+    simulation = {name: value for name, value in asdict(config.simulation).items() if value != usual[name]}
     flags = shlex.join(as_options({"preset": config.preset, "seed": config.seed} | simulation))
     raise ConfigError(
         f"no finished imitation run fits ({flags}): type sfmrl il {flags}, name a run with --from, or do without with "

@@ -171,7 +171,10 @@ def append_rows(path: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def read_table(path: Path) -> list[dict[str, str]]:
-    """The rows of a CSV file by heading; raises ValueError if a row does not fit the header, and DamagedFile."""
+    """The rows of a CSV file by heading.
+
+    Raises ValueError if a row does not fit the header, DamagedFile if the file is not what was written.
+    """
     try:
         rows = list(csv.DictReader(io.StringIO(read_listed(path).decode(), newline="")))
     except csv.Error as error:

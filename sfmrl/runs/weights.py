@@ -16,7 +16,7 @@ from sfmrl.fast import FastNetwork
 from sfmrl.policies import POLICIES
 from sfmrl.runs.crowdnav import CHECKPOINT, read_foreign, sarl_parameters, unwrapped
 from sfmrl.runs.files import DamagedFile, read_listed, read_regular, sha256, write_atomically
-from sfmrl.runs.folders import WEIGHTS, finished, unfinished
+from sfmrl.runs.folders import WEIGHTS, facts_of, finished, unfinished
 from sfmrl.runs.run import open_run
 
 MODELS = Path(__file__).parent.parent / "models"
@@ -57,6 +57,12 @@ def load_weights(path: Path) -> tuple[FastNetwork, Config]:
     if network.forces != config.forces:
         raise ConfigError(f"the config in {path} cannot be used: its network reads other columns than it says")
     return network, config
+
+
+def reward_digest(path: Path) -> str | None:
+    """The SHA-256 of the user's own reward with which the network in a run's weights file was trained; else None."""
+    digest = facts_of(path.parent).get("own_reward")
+    return digest if isinstance(digest, str) else None
 
 
 def _read(path: Path) -> bytes:

@@ -28,18 +28,17 @@ ROBOT, PERSON, SQUARE, GOAL = "tab:blue", "tab:orange", "0.6", "tab:red"
 def validation_figure(lines: list[dict[str, Any]], title: str) -> Figure:
     """Success in validation over the training: a curve a row, its 95 % interval as a band, from `study.validations`."""
     figure = Figure(figsize=(7.0, 4.2), layout="constrained")
-    axes = figure.add_subplot()
+    axes, curves = figure.add_subplot(), {}
     for name in dict.fromkeys(line["row"] for line in lines):
         course = [line for line in lines if line["row"] == name]
         episodes, mean, low, high = ([line[key] for line in course] for key in ("episode", "mean", "low", "high"))
-        (curve,) = axes.plot(episodes, mean, marker="o", markersize=3)
+        (curves[name],) = axes.plot(episodes, mean, marker="o", markersize=3)
         if None not in low:
-            axes.fill_between(episodes, low, high, color=curve.get_color(), alpha=0.15, linewidth=0)
+            axes.fill_between(episodes, low, high, color=curves[name].get_color(), alpha=0.15, linewidth=0)
     axes.set(xlabel="training episodes", ylabel="success in validation", title=title)
     axes.set_ylim(top=1.005)
     axes.grid(alpha=0.3)
-    curves = axes.get_lines()
-    legend = axes.legend(curves, list(dict.fromkeys(line["row"] for line in lines)), loc="lower right")
+    legend = axes.legend(list(curves.values()), list(curves), loc="lower right")
     for text in legend.get_texts():
         text.set_parse_math(False)  # names of folders may have any signs
     return figure
