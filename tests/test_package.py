@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import importlib
 import pydoc
 import re
 import shutil
