@@ -8,12 +8,16 @@ the planner, are sfmrl's own.
 import difflib
 import json
 import math
+import os
+import re
+import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, Field, asdict, dataclass, field, fields, is_dataclass, replace
 from numbers import Integral, Real
 from typing import Any, cast
 
 ANY_REWARD = (-1e6, 1e6)
+WINDOWS = os.name == "nt"
 MOST_EPISODES = 100_000  # in one record, which must fit into memory
 MOST_STEPS = 100_000  # of an episode
 LARGEST_SEED = 2**63 - 1
@@ -253,6 +257,13 @@ def override(config: Any, changes: Mapping[str, Any]) -> Any:
         old = getattr(config, name)
         values[name] = override(old, value) if is_dataclass(old) and not isinstance(value, type(old)) else value
     return replace(config, **values)
+
+
+def as_typed(words: Iterable[str]) -> str:
+    """Words as typed in a shell: cmd on Windows knows double quotes alone, and PowerShell takes these, too."""
+    if not WINDOWS:
+        return shlex.join(words)
+    return " ".join(word if re.fullmatch(r"[\w@%+=:,./\\-]+", word) else f'"{word}"' for word in words)
 
 
 def as_options(settings: dict[str, Any]) -> list[str]:

@@ -7,7 +7,6 @@ names is `Untrusted` and is not run, since opening a file must not run code.
 import hashlib
 import importlib
 import runpy
-import shlex
 import sys
 import traceback
 from collections.abc import Callable
@@ -18,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from sfmrl.config import Config, ConfigError, Untrusted, override, suggest
+from sfmrl.config import Config, ConfigError, Untrusted, as_typed, override, suggest
 
 READ_ONLY = "what it is given is read-only: work on a copy, as numpy.array(...) makes one"
 HINTS = {  # what to change in a user's function, by a part of the error that it raises
@@ -157,7 +156,7 @@ def load(name: str, what: str = "reward") -> Callable:
     if isinstance(name, Untrusted):
         raise UntrustedReward(
             f"reward {name} is Python code that a run or weights file names, so it is not run; if you trust that code, "
-            f"add --trust-reward, or --reward {shlex.quote(name)} (in Python: load_policy(..., trust_reward=True))"
+            f"add --trust-reward, or --reward {as_typed([name])} (in Python: load_policy(..., trust_reward=True))"
         )
     place, _, function = name.rpartition(":")
     file = _file(name, what)
@@ -190,9 +189,12 @@ def absolute(name: str) -> str:
 
 
 def code_digest(name: str) -> str | None:
-    """The SHA-256 of the file that a name of Python code names; None without one. Raises ConfigError if missing."""
+    """The SHA-256 of the file that a name of Python code names, whatever its line ends; None without one.
+
+    Raises ConfigError if the file is missing.
+    """
     file = _file(name) or (_module_file(name.rpartition(":")[0]) if names_code(name) else "")
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else None
+    return hashlib.sha256(Path(file).read_bytes().replace(b"\r\n", b"\n")).hexdigest() if file else None
 
 
 def _module_file(module: str) -> str:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from sfmrl.config import Config, ConfigError, Reward
+from sfmrl.config import Config, ConfigError, Reward, as_typed
 from sfmrl.variants import make_config
 
 
@@ -41,3 +41,10 @@ def test_the_paper_s_preset_has_the_published_numbers():
     assert (config.optimizer, config.simulation.squares, config.discount) == ("sgd", "disc", 0.9)
     ours = (config.value_prior, config.careful, config.mirror, config.planner.recover)
     assert ours == (False, False, False, False)
+
+
+def test_what_to_type_is_quoted_as_the_system_s_shells_take_it(monkeypatch):
+    words = ["sfmrl", "eval", "my runs/one", "--reward", "calm.py:calm"]
+    assert as_typed(words) == "sfmrl eval 'my runs/one' --reward calm.py:calm"
+    monkeypatch.setattr("sfmrl.config.WINDOWS", True)
+    assert as_typed([r"runs\il-sarl-seed0", r"C:\my runs\one"]) == r'runs\il-sarl-seed0 "C:\my runs\one"'

@@ -39,6 +39,8 @@ def test_a_package_that_is_missing_is_named_with_what_to_type(monkeypatch):
     found = looked_at()
     assert found["torch"].ok is False
     assert found["torch"].remedy == "pip install --force-reinstall torch"
+    monkeypatch.setattr(doctor, "INTEL_MAC", True)
+    assert looked_at()["torch"].ok is None
     assert found["numpy"].ok is True
     assert found["two threads"].ok is True  # all that plays does without
 

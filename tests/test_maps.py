@@ -346,3 +346,10 @@ def test_commands_use_maps_and_say_what_is_wrong_in_a_line(sfmrl: Callable, tmp_
         both = sfmrl(*command, "--map", "closed.txt", "--environment", "2")
         assert both.returncode == 2
         assert both.stderr == "sfmrl: --map and --environment exclude each other; leave out one of them\n"
+
+
+def test_a_map_that_windows_powershell_wrote_is_read(tmp_path):
+    plain, wide = tmp_path / "plain.txt", tmp_path / "wide.txt"
+    plain.write_text("R.#.G\n", encoding="utf-8")
+    wide.write_bytes("R.#.G\r\n".encode("utf-16"))
+    assert load_map(wide) == load_map(plain)

@@ -279,3 +279,9 @@ def test_the_digest_of_a_module_is_its_file_s_and_no_package_is_run(own, tmp_pat
     assert code_digest("spaces.deep.own:SPEED") == hashlib.sha256(b"SPEED = 2").hexdigest()
     assert code_digest("nowhere.inner:SPEED") is None
     assert code_digest("crowd") is None
+
+
+def test_a_file_s_digest_does_not_depend_on_its_line_ends(own):
+    before = code_digest(f"{own}:straight")
+    own.write_bytes(own.read_bytes().replace(b"\n", b"\r\n"))
+    assert code_digest(f"{own}:straight") == before

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -25,7 +26,16 @@ from sfmrl.maps import load_map
 from sfmrl.policies import load_policy
 from sfmrl.runs.create import create_run, start_run
 from sfmrl.runs.demonstrations import load_demonstrations
-from sfmrl.runs.files import SUMS, DamagedFile, append_rows, read_checked, read_sums, write_atomically, write_text
+from sfmrl.runs.files import (
+    SUMS,
+    DamagedFile,
+    append_rows,
+    patiently,
+    read_checked,
+    read_sums,
+    write_atomically,
+    write_text,
+)
 from sfmrl.runs.folders import (
     DEMONSTRATIONS,
     LOCK,
@@ -615,3 +625,33 @@ def test_renames_are_synced_too(tmp_path, monkeypatch):
     renames = [number for number, what in enumerate(done) if what == "rename"]
     assert len(renames) == 2  # the file's, and that of SHA256SUMS
     assert all(done[number + 1] == "folder" for number in renames)
+
+
+@pytest.mark.parametrize("windows", [True, False])
+def test_a_file_that_a_scanner_has_open_is_waited_for_on_windows_alone(monkeypatch, windows):
+    monkeypatch.setattr("sfmrl.runs.files.WINDOWS", windows)
+    tries = iter([PermissionError(), PermissionError(), None])
+
+    def move(*_) -> None:
+        if error := next(tries):
+            raise error
+
+    if windows:
+        patiently(move, "here", "there")
+        assert next(tries, "none") == "none"
+    else:
+        with pytest.raises(PermissionError):
+            patiently(move, "here", "there")
+
+
+def test_a_run_finds_its_imitation_on_every_system(folder, tmp_path, monkeypatch):
+    source = Path(shutil.copytree(folder, tmp_path / "il"))
+    run = start_run(TINY, source, False, tmp_path / "rl")
+    assert (run.facts["imitation"], run.imitation) == ("../il", source)
+    assert replace(run, facts={"imitation": r"..\il"}).imitation == source  # as Windows wrote it before
+
+    def fail(*_) -> str:
+        raise ValueError("path is on mount 'D:', start on mount 'C:'")
+
+    monkeypatch.setattr("os.path.relpath", fail)
+    assert start_run(TINY, source, False, tmp_path / "far").imitation == source

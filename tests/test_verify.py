@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import tarfile
+import zipfile
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -19,7 +20,7 @@ from sfmrl.evaluation import RATES
 from sfmrl.lessons import Finding
 from sfmrl.lessons.handed_in import runs_in
 from sfmrl.lessons.rerun import Disagreement, Rerun
-from sfmrl.lessons.verify import verify
+from sfmrl.lessons.verify import TOLERANCE, verify
 from sfmrl.network import ValueNetwork
 from sfmrl.runs.create import create_run, start_run
 from sfmrl.runs.files import csv_text, read_table, remove_checked, unlist
@@ -400,3 +401,26 @@ def test_an_archive_of_either_kind_may_not_unpack_to_too_much(copy, tmp_path, mo
     with runs_in([archive]) as (runs, (error,)):
         assert runs == {}
         assert "would unpack to" in str(error)
+
+
+def test_a_zip_file_of_windows_powershell_is_read(copy, tmp_path):
+    with zipfile.ZipFile(tmp_path / "run.zip", "w") as packed:
+        for path in (copy / "il").iterdir():
+            packed.write(path, rf"run\{path.name}")
+    with runs_in([tmp_path / "run.zip"]) as (runs, errors):
+        assert errors == []
+        assert [folder.name for folder in runs.values()] == ["run"]
+
+
+def test_without_openblas_a_few_episodes_may_end_otherwise(copy, monkeypatch):
+    allowed = []
+
+    def noting(*settings) -> Rerun:
+        allowed.append(settings[1])
+        return Rerun(*settings)
+
+    monkeypatch.setattr("sfmrl.lessons.verify.Rerun", noting)
+    for name, expected in (("SkylakeX", 0.0), ("unknown", TOLERANCE)):
+        monkeypatch.setattr("sfmrl.lessons.verify.kernels", lambda name=name: name)
+        findings(copy / "il")
+        assert allowed.pop() == expected

@@ -5,6 +5,7 @@ import json
 import os
 import pickle
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -256,3 +257,10 @@ def test_what_crowdnav_would_play_otherwise_is_not_exported_and_no_contradiction
     parameters["mlp1.0.weight"] = parameters["mlp1.0.weight"][:1]
     with pytest.raises(ValueError, match=r"mlp1.0.weight has shape \(1, 13\), not \(150, 13\)"):
         prior.load_state_dict(parameters)
+
+
+def test_a_checkpoint_without_torch_is_one_error(tmp_path, monkeypatch):
+    (tmp_path / "some.pth").write_bytes(saved(PLAIN))
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(ConfigError, match="for CrowdNav's, install torch"):
+        load_weights(tmp_path / "some.pth")

@@ -61,7 +61,8 @@ def greeting() -> str:
 
 def main() -> None:
     """Run the `sfmrl` command; every expected failure is one line on standard error."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is imported, see `sfmrl.fast.blas`
+    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
+        os.environ.setdefault(name, "1")  # before NumPy is imported, see `sfmrl.fast.blas`
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # letters that its encoding lacks; standard error escapes them
     try:

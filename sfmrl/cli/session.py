@@ -1,6 +1,5 @@
 """What commands share: the options of those that play test episodes, and what to type next."""
 
-import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,7 +9,7 @@ from typing import Any
 from sfmrl.cli import completion, options
 from sfmrl.cli.console import err, say
 from sfmrl.cli.options import number_option, option
-from sfmrl.config import LARGEST_SEED, Config, ConfigError, Planner, Simulation, as_options, counted, override
+from sfmrl.config import LARGEST_SEED, Config, ConfigError, Planner, Simulation, as_options, as_typed, counted, override
 from sfmrl.runs.folders import newest_run
 from sfmrl.variants import MIXES
 
@@ -168,7 +167,7 @@ class TestOptions:
         elif self.place is not None or self.where(config) == label(self.where(config)):  # else a run has its own map
             words += ["--environment", self.where(config)]
         words += ["--seed", self.seed, "--episode", episode, *as_options(self.crowd | settings)]
-        return shlex.join(map(str, words + ["--trust-reward"] * self.trust_reward))
+        return as_typed(map(str, words + ["--trust-reward"] * self.trust_reward))
 
 
 def simulation_for(policy: Any, config: Config, settings: dict[str, Any]) -> Simulation:

@@ -1,6 +1,5 @@
 """The commands that train: `sfmrl il`, `sfmrl rl`."""
 
-import shlex
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from sfmrl.cli import completion, options
 from sfmrl.cli.console import err, print_metrics, say
 from sfmrl.cli.options import command, option
 from sfmrl.cli.session import check_planner, drawn, exclude, say_differing_settings
-from sfmrl.config import Config, ConfigError, as_options, override
+from sfmrl.config import Config, ConfigError, as_options, as_typed, override
 from sfmrl.runs.files import read_regular
 from sfmrl.runs.folders import as_words, finished
 from sfmrl.variants import PRESETS, VARIANTS, make_config
@@ -106,7 +105,7 @@ def il(variant: str | None = VARIANT, *, settings: dict[str, Any], training: Tra
     named = run.facts["variant"] in VARIANTS and run.facts["variant"] != "sarl"
     which = ["--variant", run.facts["variant"]] if named else ["--reward", "sfm", *["--forces"] * run.config.forces]
     following = ["sfmrl", "rl", *which, "--from", str(run.folder), *as_options(needed)]
-    say(f"done: {run.folder}; next: {shlex.join(following)}, or {on_run('eval', run)}")
+    say(f"done: {run.folder}; next: {as_typed(following)}, or {on_run('eval', run)}")
 
 
 @command("sfmrl rl --reward sfm --episodes 3000", "", "simulation", "reward", "planner", "reinforcement")

@@ -55,7 +55,8 @@ class Look:
     def plain(self) -> bool:
         """Return whether the characters are to be 7-bit: if asked, or if the output cannot show others."""
         shown = self.svg is None and self.cast is None
-        return self.ascii_only or (shown and not (out.encoding or "").lower().startswith("utf"))
+        unicode = (out.encoding or "").lower().startswith("utf") and not out.legacy_windows
+        return self.ascii_only or (shown and not unicode)
 
 
 @command("sfmrl ascii-render orca --environment 3 --episode 17", "simulation", "reward", "planner")

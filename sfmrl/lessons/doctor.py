@@ -5,6 +5,7 @@ NumPy and torch are imported inside the checks, which report a missing one. Writ
 
 import os
 import platform
+import sys
 from collections.abc import Iterator
 from importlib import import_module, metadata
 from pathlib import Path
@@ -16,6 +17,7 @@ from sfmrl.lessons import Finding
 
 COLUMNS, LINES = 80, 24  # the size of terminal that the pictures are made for
 REINSTALL = "pip install --force-reinstall"
+INTEL_MAC = sys.platform == "darwin" and platform.machine() == "x86_64"
 
 
 def examine(console: Console) -> Iterator[Finding]:
@@ -27,6 +29,9 @@ def examine(console: Console) -> Iterator[Finding]:
             import_module(name)
             yield Finding(name, True, metadata.version(name))
         except Exception as error:  # a broken installation can raise anything
+            if name == "torch" and INTEL_MAC:
+                yield Finding(name, None, "there is none for this Mac; only ValueNetwork and CrowdNav's files need it")
+                continue
             yield Finding(name, False, f"cannot be imported: {error}", f"{REINSTALL} {name}")
     yield _terminal(console)
     for what, check in (("ORCA", _orca), ("two threads", _two_threads), ("processor", _processor)):

@@ -71,7 +71,9 @@ def _unpack(path: Path, folder: Path) -> None:
         else:
             with zipfile.ZipFile(path) as packed:
                 _check_size(path, sum(member.file_size for member in packed.infolist()))
-                packed.extractall(folder)
+                for member in packed.infolist():
+                    member.filename = member.filename.replace("\\", "/")  # Windows PowerShell writes \\
+                    packed.extract(member, folder)
     except ConfigError:
         raise
     except Exception as error:  # damaged archives can raise anything, such as zlib.error or LZMAError

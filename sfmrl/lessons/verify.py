@@ -10,6 +10,7 @@ from typing import Any
 
 from sfmrl.config import ConfigError, counted
 from sfmrl.evaluation import RATES
+from sfmrl.fast import kernels
 from sfmrl.lessons import Finding
 from sfmrl.lessons.rerun import Disagreement, Rerun, outcomes, result_of
 from sfmrl.own_code import UntrustedReward, code_digest, trusted
@@ -57,7 +58,8 @@ def verify(
     here = _finding("versions", _versions, run)
     yield here
     if tolerance is None:
-        tolerance = 0.0 if here.ok else TOLERANCE
+        alike = here.ok and kernels() != "unknown"  # other libraries than OpenBLAS may add up a batch in another order
+        tolerance = 0.0 if alike else TOLERANCE
     rerun = Rerun(episodes, tolerance, threads, progress, here.ok is True)
     if run.kind == "il":
         yield _finding("demonstrations", rerun.demonstrations, run)

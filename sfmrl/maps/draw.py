@@ -30,7 +30,9 @@ def load_map(path: str | Path) -> str:
     if path.stat().st_size > LARGEST:
         raise ConfigError(f"{path} is larger than any map, {LARGEST} bytes")
     try:
-        drawing = parse(path.read_bytes().decode("utf-8-sig"), str(path))
+        data = path.read_bytes()
+        encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"  # > in Windows PowerShell
+        drawing = parse(data.decode(encoding), str(path))
     except UnicodeDecodeError:
         raise ConfigError(f"{path} is not text in UTF-8, as a map is") from None
     return DRAWN + "/".join(_lines(_scenes(drawing)))

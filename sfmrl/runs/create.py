@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from sfmrl.config import Config, ConfigError, as_options
+from sfmrl.config import Config, ConfigError, as_options, as_typed
 from sfmrl.own_code import code_digest
 from sfmrl.rewards import reward_terms
 from sfmrl.runs.bits import versions
-from sfmrl.runs.files import SUMS, DamagedFile, digest_of, read_checked, read_sums, write_together
+from sfmrl.runs.files import SUMS, DamagedFile, digest_of, patiently, read_checked, read_sums, write_together
 from sfmrl.runs.folders import (
     DEMONSTRATIONS,
     FIRST,
@@ -77,7 +77,7 @@ def create_run(  # type: ignore[return]  # its loop over count(1) ends by a retu
     name = f"{kind}-{variant_name(config)}-seed{config.seed}"
     for number in count(1):
         place = folder or RUNS / (name if number == 1 else f"{name}-{number}")
-        facts["imitation"] = imitation and os.path.relpath(imitation, place)
+        facts["imitation"] = imitation and _from(place, imitation)
         try:
             _make(place, files | {"run.json": json.dumps(facts, indent=2)}, overwrite)
         except ConfigError:
@@ -85,6 +85,14 @@ def create_run(  # type: ignore[return]  # its loop over count(1) ends by a retu
                 raise
             continue  # another run has this name
         return replace(open_run(place), config=config)  # the user named this config's reward: it is trusted
+
+
+def _from(folder: Path, path: Path) -> str:
+    """The path as seen from a folder, with slashes on every system."""
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:  # on Windows, on another drive
+        return path.resolve().as_posix()
 
 
 def check_names(config: Config) -> None:
@@ -102,14 +110,14 @@ def _make(folder: Path, files: dict[str, str], overwrite: bool) -> None:
     with locked(folder):
         _check_replaceable(folder, overwrite)  # another process may have made a run in the meantime
         if MAP in _listed(folder):
-            (folder / MAP).unlink(missing_ok=True)
+            patiently((folder / MAP).unlink, True)
         elif MAP in files and (folder / MAP).exists():
             raise ConfigError(f"{folder / MAP} does not belong to the run; move it away, or name another --run")
         # First SHA256SUMS: if this is interrupted, the old run can no longer be opened, but it can still be replaced.
-        (folder / SUMS).unlink(missing_ok=True)
+        patiently((folder / SUMS).unlink, True)
         for path in files_of_run(folder):
             if path.name not in FIRST:
-                path.unlink()
+                patiently(path.unlink)
         write_together(folder, {name: text.encode() for name, text in files.items()})
 
 
@@ -220,7 +228,7 @@ def _start_from_weights(config: Config, source: Path) -> tuple[Config, dict[str,
     changed = [name for name in theirs if theirs[name] != ours[name]]
     if trained == Config(preset="paper", forces=network.forces):  # a checkpoint of CrowdNav's
         changed = []
-    before, now = (shlex.join(as_options({name: task[name] for name in changed})) for task in (theirs, ours))
+    before, now = (as_typed(as_options({name: task[name] for name in changed})) for task in (theirs, ours))
     facts = {"file": str(source.resolve()), "sha256": digest_of(source)}
     return config, facts | ({"trained_with": before, "goes_on_with": now} if changed else {})
 
@@ -238,7 +246,7 @@ def _newest_fitting(config: Config) -> Path:
             return folder
     usual = asdict(make_config(config.preset).simulation)
     simulation = {name: value for name, value in asdict(config.simulation).items() if value != usual[name]}
-    flags = shlex.join(as_options({"preset": config.preset, "seed": config.seed} | simulation))
+    flags = as_typed(as_options({"preset": config.preset, "seed": config.seed} | simulation))
     raise ConfigError(
         f"no finished imitation run fits ({flags}): type sfmrl il {flags}, name a run with --from, or do without with "
         "--from-scratch"

@@ -38,7 +38,10 @@ def read_foreign(data: bytes, path: Path) -> Any:
     for start, what in NOT_WEIGHTS.items():
         if data[:200].lstrip().lower().startswith(start):
             raise ConfigError(f"{path} {what}")
-    import torch
+    try:
+        import torch
+    except ImportError as error:
+        raise ConfigError(f"{path} is no weights file of sfmrl's; for CrowdNav's, install torch ({error})") from None
 
     try:
         with warnings.catch_warnings():

@@ -9,10 +9,13 @@ import io
 import os
 import re
 import shutil
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+from sfmrl.config import WINDOWS
 
 SUMS = "SHA256SUMS"
 TEMPORARY = re.compile(r"^\.(.+)\.\d+\.tmp$")  # .NAME.PROCESS.tmp, renamed to NAME once it is written
@@ -41,7 +44,7 @@ def write_together(folder: Path, files: dict[str, bytes], *, checked: bool = Tru
             _write_sums(folder, read_sums(folder) | {name: sha256(data) for name, data in files.items()})
         for name in files:
             with _naming(folder / name):
-                os.replace(temporary[name], folder / name)
+                patiently(os.replace, temporary[name], folder / name)
     except BaseException:
         for path in temporary.values():
             with suppress(OSError):  # on a read-only file system, where the first error says more
@@ -53,6 +56,18 @@ def write_together(folder: Path, files: dict[str, bytes], *, checked: bool = Tru
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+def patiently(move: Callable[..., None], *arguments: Any) -> None:
+    """Rename or remove a file; on Windows, wait up to 3 s while another process, such as a scanner, has it open."""
+    deadline = time.monotonic() + 3.0
+    while True:
+        try:
+            return move(*arguments)
+        except PermissionError:
+            if not WINDOWS or time.monotonic() > deadline:
+                raise
+            time.sleep(0.02)
 
 
 def write_atomically(path: Path, data: bytes, *, checked: bool = True) -> str:
@@ -76,7 +91,7 @@ def remove_checked(paths: list[Path]) -> None:
     if paths:
         unlist({path.name for path in paths}, paths[0].parent)
     for path in paths:
-        path.unlink(missing_ok=True)
+        patiently(path.unlink, True)
 
 
 def unlist(names: set[str], folder: Path) -> None:

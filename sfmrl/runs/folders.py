@@ -1,14 +1,13 @@
 """Find runs, list their files, and tell which are being trained. Imports neither NumPy nor torch."""
 
 import re
-import shlex
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from sfmrl.config import ConfigError, json_object
+from sfmrl.config import ConfigError, as_typed, json_object
 from sfmrl.runs.files import SUMS, TEMPORARY, DamagedFile, read_listed, read_regular, regular
 
 try:
@@ -90,7 +89,7 @@ def as_words(folder: Path) -> str:
     except (OSError, ValueError, LookupError, TypeError, DamagedFile):
         reward = ""  # opening the run reports the error
     name = f"./{folder}" if str(folder).startswith("-") else str(folder)  # a leading "-" would make it an option
-    return shlex.join([name, *["--trust-reward"] * (":" in str(reward))])
+    return as_typed([name, *["--trust-reward"] * (":" in str(reward))])
 
 
 @contextmanager

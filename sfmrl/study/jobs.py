@@ -7,7 +7,6 @@ another, to the same bits if that machine computes the same (`sfmrl doctor` show
 """
 
 import logging
-import shlex
 import shutil
 import subprocess
 import sys
@@ -19,7 +18,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sfmrl.config import ConfigError, counted
+from sfmrl.config import ConfigError, as_typed, counted
 from sfmrl.runs.files import read_regular, regular
 from sfmrl.runs.folders import finished
 from sfmrl.runs.progress import Interrupted, Progress, StopSignal
@@ -44,7 +43,7 @@ class Job:
     @property
     def command(self) -> str:
         """What to type."""
-        return shlex.join(["sfmrl", *self.words])
+        return as_typed(["sfmrl", *self.words])
 
 
 def run_jobs(
