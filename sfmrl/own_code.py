@@ -213,6 +213,6 @@ def _file(name: str, what: str = "reward") -> str:
     if not place.endswith(".py"):
         return ""
     if not Path(place).is_file():
-        remedy = "write its path as seen from here" if what == "policy" else "name its new place with --reward"
-        raise ConfigError(f"{what} {name}: there is no file {place}; put it there, or {remedy}")
+        remedy = "put it there, or give its path as seen from here" + " to --reward" * (what == "reward")
+        raise ConfigError(f"{what} {name}: there is no file {place}; {remedy}")
     return place

@@ -299,7 +299,7 @@ def test_no_option_takes_what_is_no_number_or_far_too_large(in_process: Call, mo
         raise Begun
 
     monkeypatch.setattr(cli, "app", typer.main.get_command(app))  # built once
-    for function in ("train.TrainingOptions.new_config", "session.TestOptions.choose", "study._train"):
+    for function in ("train.TrainingOptions.new_config", "session.TestOptions.choose_all", "study._train"):
         monkeypatch.setattr(f"sfmrl.cli.{function}", begin)
     for option in NUMBERS[name]:
         for value in NO_NUMBER:

@@ -188,7 +188,7 @@ def test_a_reward_in_a_python_file_is_run_only_if_trusted_and_unchanged(copy, tm
     own.rename(tmp_path / "moved.py")
     gone = findings(run)
     assert {name for name, finding in gone.items() if finding.ok is None} == unjudged
-    assert "put that file there, then add --trust-reward" in gone["reward"].said
+    assert "put the file there, then add --trust-reward" in gone["reward"].said
 
 
 def remade(run: Path, change: Callable[[dict], object], tested: bool = True) -> dict[str, Finding]:
