@@ -31,8 +31,10 @@ def main() -> None:
 
 def _end_at_once(number: int, frame: object) -> None:
     """End without an exception, which an import may swallow or wrap; before the command starts, nothing is lost."""
-    os.write(2, b"sfmrl: interrupted\n")
-    os._exit(INTERRUPTED)
+    try:
+        os.write(2, b"sfmrl: interrupted\n")
+    finally:  # also if nobody reads it
+        os._exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

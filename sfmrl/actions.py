@@ -64,5 +64,6 @@ def explained(policy: Policy, world: World, crowd_velocity: np.ndarray) -> tuple
         raise ConfigError(f"explain of policy {name_of(policy)} must return (actions, notes), the notes a dict")
     action, notes = returned
     if not all(isinstance(note, np.ndarray) and note.shape[:1] == (len(world),) for note in notes.values()):
-        raise ConfigError(f"explain of policy {name_of(policy)} must return arrays as notes, a row for each episode")
+        said = "must return its notes as arrays with a row for each episode"
+        raise ConfigError(f"explain of policy {name_of(policy)} {said}")
     return action, notes

@@ -250,9 +250,10 @@ def override(config: Any, changes: Mapping[str, Any]) -> Any:
     values = {}
     for name, value in changes.items():
         if name not in known:
-            parts = [part for part in known if is_dataclass(getattr(config, part))]
-            inner = [part for part in parts if hasattr(getattr(config, part), name)]
-            hint = f"; {inner[0]} has one: {inner[0]}={{{name!r}: ...}}" if inner else suggest(name, known)
+            parts = {part: getattr(config, part) for part in known if is_dataclass(getattr(config, part))}
+            inner = [part for part, settings in parts.items() if name in asdict(settings)]
+            hint = f"; give it as {' or '.join(f'{part}={{{name!r}: ...}}' for part in inner)}" if inner else ""
+            hint = hint or suggest(name, known)
             raise ConfigError(f"there is no setting {name!r} in {section}{hint}")
         old = getattr(config, name)
         values[name] = override(old, value) if is_dataclass(old) and not isinstance(value, type(old)) else value
@@ -260,10 +261,11 @@ def override(config: Any, changes: Mapping[str, Any]) -> Any:
 
 
 def as_typed(words: Iterable[str]) -> str:
-    """Words as typed in a shell: cmd on Windows knows double quotes alone, and PowerShell takes these, too."""
+    """Words as one command line for a shell; on Windows in double quotes, which cmd and PowerShell both take."""
     if not WINDOWS:
         return shlex.join(words)
-    return " ".join(word if re.fullmatch(r"[\w@%+=:,./\\-]+", word) else f'"{word}"' for word in words)
+    plain = re.compile(r"[\w+=:./\\-]+")
+    return " ".join(word if plain.fullmatch(word) else '"' + word.rstrip("\\") + '"' for word in words)
 
 
 def as_options(settings: dict[str, Any]) -> list[str]:

@@ -144,7 +144,7 @@ def wilson(successes: int, trials: int, z: float = Z) -> tuple[float, float]:
     Raises ValueError unless both are whole numbers and 0 <= successes <= trials.
     """
     if not (0 <= successes <= trials < math.inf and successes % 1 == trials % 1 == 0):
-        raise ValueError(f"wilson takes numbers of successes and trials, not {successes} of {trials}")
+        raise ValueError(f"wilson takes counts, not {successes} of {trials}: whole numbers, successes at most trials")
     if trials == 0:
         return 0.0, 1.0
     rate, spread = successes / trials, z * z / trials

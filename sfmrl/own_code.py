@@ -4,6 +4,7 @@ Their arguments are read-only copies, so that they cannot change a result. A rew
 names is `Untrusted` and is not run, since opening a file must not run code.
 """
 
+import copy
 import hashlib
 import importlib
 import runpy
@@ -20,11 +21,12 @@ import numpy as np
 from sfmrl.config import Config, ConfigError, Untrusted, as_typed, override, suggest
 
 READ_ONLY = "what it is given is read-only: work on a copy, as numpy.array(...) makes one"
+NO_MODULE = "No module named"
 HINTS = {  # what to change in a user's function, by a part of the error that it raises
     "read-only": READ_ONLY,
     "cannot assign to field": READ_ONLY,
     "positional argument": "define it with the arguments {arguments}",
-    "No module named": "only this one file is run: write what it needs into it, or install it",
+    NO_MODULE: "a file cannot import those beside it: copy what it needs into it, or install that as a package",
     "truth value of an array": "it is given whole arrays: choose with numpy.where or numpy.select instead of if",
 }
 
@@ -64,7 +66,7 @@ def guarded(who: str, what: str, file: str, call: Callable[[], Any]) -> Any:
         lines += [error.lineno] if isinstance(error, SyntaxError) and error.filename == file else []
         where = f" (line {lines[-1]})" if lines else ""
         text = " ".join(f"{type(error).__name__}: {error}".rstrip(": ").split())
-        hint = next((f"; {hint}" for part, hint in HINTS.items() if part in text), "")
+        hint = next((f"; {hint}" for part, hint in HINTS.items() if part in text and (file or part != NO_MODULE)), "")
         hint = hint.replace("{arguments}", ARGUMENTS[who.partition(" ")[0]])
         raise ConfigError(f"{who}{where} {what}: {text}{hint}") from error
 
@@ -131,6 +133,12 @@ class OwnPolicy:
         called = name in ("begin", "explain", "attention")
         return partial(self._run, f"{name} of policy {self.__name__}", part) if called else part
 
+    def around(self, other: Callable) -> "OwnPolicy":
+        """The same wrapper, which turns errors into one line, around another policy."""
+        wrapper = copy.copy(self)
+        wrapper.own = other
+        return wrapper
+
     def _run(self, who: str, function: Callable, *arguments: Any) -> Any:
         return guarded(who, "failed", self._file, lambda: function(*arguments))
 
@@ -170,15 +178,18 @@ def load(name: str, what: str = "reward") -> Callable:
 def trusted(config: Config, trust: bool | str, digest: str | None = None) -> Config:
     """The config, its reward allowed to be run if `trust` is True or names the same reward.
 
-    If the config's file no longer exists, the same function in another file with this SHA-256 `digest` is the same.
+    If the config's file is gone, a copy of it elsewhere counts as the same, if its SHA-256 is `digest`; raises
+    ConfigError if it is another.
     """
     name = config.reward.reward
     if type(trust) is not str:  # also Untrusted, which only a file names
         return override(config, {"reward": {"reward": str(name)}}) if trust is True else config
     place, _, function = name.rpartition(":")
     moved = place.endswith(".py") and not Path(place).is_file() and trust.endswith(f".py:{function}")
-    if moved and digest and code_digest(trust) == digest:
-        return override(config, {"reward": {"reward": trust}})
+    if moved and digest:
+        if code_digest(trust) != digest:
+            raise ConfigError(f"{trust} is not the reward that the network was trained with, {name}; put that one back")
+        name = trust
     return override(config, {"reward": {"reward": str(name)}}) if absolute(trust) == absolute(name) else config
 
 
@@ -189,9 +200,9 @@ def absolute(name: str) -> str:
 
 
 def code_digest(name: str) -> str | None:
-    """The SHA-256 of the file that a name of Python code names, whatever its line ends; None without one.
+    """The SHA-256 of the file with the named code, CRLF read as LF; None if no file is found.
 
-    Raises ConfigError if the file is missing.
+    Raises ConfigError if the name has a path, and there is no such file.
     """
     file = _file(name) or (_module_file(name.rpartition(":")[0]) if names_code(name) else "")
     return hashlib.sha256(Path(file).read_bytes().replace(b"\r\n", b"\n")).hexdigest() if file else None
@@ -213,6 +224,6 @@ def _file(name: str, what: str = "reward") -> str:
     if not place.endswith(".py"):
         return ""
     if not Path(place).is_file():
-        remedy = "put it there, or give its path as seen from here" + " to --reward" * (what == "reward")
+        remedy = "put it there" if isinstance(name, Untrusted) else "put it there, or write its path as seen from here"
         raise ConfigError(f"{what} {name}: there is no file {place}; {remedy}")
     return place

@@ -57,8 +57,9 @@ def load_policy(name_or_path: str | Path, threads: int | None = None, *, trust_r
 
     A CrowdNav file does not name its reward, so its policy looks ahead with CrowdNav's. A network that was trained with
     a user's own reward looks ahead with that Python code, which is run only if `trust_reward` is True or the reward's
-    name, file.py:function. Raises ConfigError if there is no such policy, DamagedFile if a run's weights, config.json
-    or run.json have changed since they were written.
+    name, file.py:function (or that of a copy, if the file is gone and run.json has the copy's SHA-256). Raises
+    ConfigError if there is no such policy, DamagedFile if a run's weights, config.json or run.json have changed since
+    they were written.
     """
     if str(name_or_path) in POLICIES:
         return POLICIES[str(name_or_path)]

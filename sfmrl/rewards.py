@@ -55,7 +55,7 @@ class Transition(Batch):
         """
         gaps, steps = np.shape(self.separations), np.shape(self.outcome)
         if gaps[:-1] != steps or not gaps:
-            raise ValueError(f"separations must have the axes of outcome and one more, {(*steps, 'K')}, not {gaps}")
+            raise ValueError(f"separations has shape {gaps}; it must have that of outcome, {steps}, and one more axis")
         return np.min(self.separations, axis=-1, initial=np.inf)
 
     def __getitem__(self, index) -> "Transition":
@@ -105,7 +105,7 @@ def sfm_terms(transition: Transition, p: Reward) -> Terms:
 def sfm_discount_terms(transition: Transition, p: Reward) -> Terms:
     """`sfm_terms`, less 0.02 (t - 10) on arrival at t >= 10 s, the paper's temporal discount."""
     late = np.maximum(transition.time - p.discount_start, 0.0)
-    arrived = transition.outcome == SUCCESS
+    arrived = np.asarray(transition.outcome) == SUCCESS
     return sfm_terms(transition, p) | {"discount": np.where(arrived, -p.discount_rate * late, 0.0)}
 
 

@@ -73,8 +73,8 @@ def sfm_velocities(
     `position`, `velocity`, `preferred_velocity` (E, N, 2) in m and m/s; `max_speed` in m/s, `radius` in m and `square`
     broadcast to (E, N). Distances are between the surfaces of discs of `radius` and of squares of side 2 `radius`. The
     force is an acceleration (unit mass), constant for `time_step` s. Squares rest; absent agents (NaN position) exert
-    no force and return NaN. Raises ValueError for other shapes, and if a speed, a radius or the time step is negative
-    or, but for a speed, not finite.
+    no force and return NaN. Raises ValueError for other shapes, for a negative or NaN `max_speed` (infinity is no
+    limit), and for a `radius` or `time_step` that is negative or not finite.
     """
     position = vectors("position", position)
     if position.ndim != 3:
@@ -85,7 +85,7 @@ def sfm_velocities(
     max_speed, radius = broadcast("max_speed", max_speed, shape), broadcast("radius", radius, shape)
     present = ~np.isnan(position).any(-1)
     if not (max_speed[present] >= 0).all():
-        raise ValueError("max_speed must not be below 0 or NaN")
+        raise ValueError("max_speed must be at least 0, and not NaN")
     for name, values in {"radius": radius[present], "time_step": time_step}.items():
         if not (np.isfinite(values) & np.greater_equal(values, 0)).all():
             raise ValueError(f"{name} must be finite and not below 0")

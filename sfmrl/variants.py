@@ -1,5 +1,6 @@
 """The paper's variants and the presets, as data: what each changes in `Config()`, the paper's SARL, squares solid."""
 
+from dataclasses import asdict
 from typing import Any
 
 from sfmrl.config import Config, ConfigError, override, suggest
@@ -63,3 +64,9 @@ def variant_name(config: Config) -> str:
             return name
     reward = config.reward.reward.rpartition(":")[2]
     return f"custom-{reward}{'-forces' if config.forces else ''}"
+
+
+def unusual_simulation(config: Config) -> dict[str, Any]:
+    """The settings of a config's simulation that differ from those of its preset, by name."""
+    usual = asdict(make_config(config.preset).simulation)
+    return {name: value for name, value in asdict(config.simulation).items() if value != usual[name]}

@@ -246,14 +246,14 @@ def turned_actions(actions: np.ndarray, before: World, after: World) -> np.ndarr
 
 
 def advance(world: World, velocity: np.ndarray, action: np.ndarray) -> World:
-    """The world after a step with everybody's `velocity` (E, N, 2), except the robot's, `action` (E, 2), in m/s.
+    """The world after a step with everybody's `velocity`, except the robot's, `action` (E, 2), in m/s.
+
+    `velocity` broadcasts to (E, N, 2).
 
     A unicycle robot drives the part of the action that it can (`drive`). Raises ValueError for other shapes, and for an
     action that is not finite.
     """
-    action = _checked(world, action)
-    if action.ndim != 2:
-        raise ValueError(f"action must have shape ({len(world)}, 2), not {action.shape}")
+    action = _checked(world, action, many=False)
     velocity = broadcast("velocity", velocity, world.position.shape).copy()
     velocity[:, 0] = drive(world, action)
     position = world.position + velocity * world.simulation.time_step
@@ -261,11 +261,12 @@ def advance(world: World, velocity: np.ndarray, action: np.ndarray) -> World:
     return replace(world, position=position, velocity=velocity, steps=world.steps + 1, heading=heading)
 
 
-def _checked(world: World, action: np.ndarray) -> np.ndarray:
-    """An action (E, 2) or (E, A, 2) as floats; raises ValueError for other shapes, and unless it is finite."""
+def _checked(world: World, action: np.ndarray, many: bool = True) -> np.ndarray:
+    """An action (E, 2) or, if `many`, (E, A, 2) as floats; raises ValueError for other shapes, and unless finite."""
     action = vectors("action", action)
-    if action.ndim not in (2, 3) or len(action) != len(world):
-        raise ValueError(f"action must have shape ({len(world)}, 2) or ({len(world)}, A, 2), not {action.shape}")
+    if action.ndim not in (2, 2 + many) or len(action) != len(world):
+        shapes = f"({len(world)}, 2)" + f" or ({len(world)}, A, 2)" * many
+        raise ValueError(f"action must have shape {shapes}, not {action.shape}")
     if not np.isfinite(action).all():
         raise ValueError("action is NaN or infinite; it must be a finite velocity in m/s")
     return action

@@ -854,6 +854,9 @@ def test_a_run_is_replaced_only_if_the_new_one_can_start(in_process, tmp_path):
     again = ("rl", *TINY_RL, "--run", "rl", "--overwrite")
     assert_one_line_error(in_process(*again, "--from", "rl/best.npz"), "--run rl would replace rl/best.npz, from which")
     assert_one_line_error(in_process(*again, "--from-scratch", "--reward", "bad.py:reward"), "shape (1,)")
+    over_il = ("rl", *TINY_RL, "--run", "runs/il", "--overwrite")
+    assert in_process("il", *TINY_IL, "--run", "runs/il").returncode == 0
+    assert_one_line_error(in_process(*over_il), "--run runs/il would replace runs/il, from which")  # the newest
     (tmp_path / "il" / "demonstrations.npz").unlink()
     assert_one_line_error(in_process(*again, "--from", "il"), "il/demonstrations.npz")
     assert {path: path.read_bytes() for path in (tmp_path / "rl").iterdir()} == before

@@ -24,10 +24,14 @@ def test_a_config_of_an_earlier_version_is_refused_with_the_version_that_plays_i
 def test_a_part_of_a_config_is_given_by_name_or_whole_and_a_name_of_its_own_is_found():
     reward = Reward(k=0.003)
     assert make_config(reward=reward).reward == reward == make_config(reward={"k": 0.003}).reward
-    with pytest.raises(ConfigError, match=r"no setting 'k' in config; reward has one: reward=\{'k': ...\}"):
+    with pytest.raises(ConfigError, match=r"no setting 'k' in config; give it as reward=\{'k': ...\}"):
         make_config(k=0.003)
-    with pytest.raises(ConfigError, match=r"no setting 'sed' in config; did you mean seed?"):
+    with pytest.raises(ConfigError, match=r"no setting 'sed' in config; did you mean seed\?"):
         make_config(sed=3)
+    with pytest.raises(ConfigError, match=r"give it as imitation=\{'episodes': ...\} or reinforcement=\{'episodes'"):
+        make_config(episodes=3)
+    with pytest.raises(ConfigError, match=r"there is no setting 'longest' in config$"):
+        make_config(longest=3)
 
 
 def test_the_paper_s_preset_has_the_published_numbers():
@@ -47,4 +51,5 @@ def test_what_to_type_is_quoted_as_the_system_s_shells_take_it(monkeypatch):
     words = ["sfmrl", "eval", "my runs/one", "--reward", "calm.py:calm"]
     assert as_typed(words) == "sfmrl eval 'my runs/one' --reward calm.py:calm"
     monkeypatch.setattr("sfmrl.config.WINDOWS", True)
-    assert as_typed([r"runs\il-sarl-seed0", r"C:\my runs\one"]) == r'runs\il-sarl-seed0 "C:\my runs\one"'
+    assert as_typed([r"runs\il-sarl-seed0", "C:\\my runs\\"]) == r'runs\il-sarl-seed0 "C:\my runs"'
+    assert as_typed(["1:0.7,2:0.3"]) == '"1:0.7,2:0.3"'  # a comma would be an array in PowerShell

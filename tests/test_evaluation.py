@@ -169,7 +169,7 @@ def test_what_was_hit_is_the_element_of_the_smaller_gap():
 
 def test_a_rate_is_no_count_and_a_policy_that_played_other_episodes_is_refused():
     for successes, trials in ((0.96, 500), (501, 500), (5, -10), (np.nan, 5), (5, np.inf)):
-        with pytest.raises(ValueError, match="wilson takes numbers of successes and trials"):
+        with pytest.raises(ValueError, match="wilson takes counts"):
             wilson(successes, trials)
     policy = load_policy("sarl")
     record = evaluation_record(policy, environment="circle0", episodes=2)

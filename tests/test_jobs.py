@@ -152,7 +152,7 @@ def test_a_cluster_of_two_workers_loses_one_in_the_middle(tmp_path):
         def kill_one() -> None:
             while ray.available_resources().get("CPU", 0) > 0:  # until both are training
                 time.sleep(0.1)
-            time.sleep(2.0)
+            time.sleep(2.0)  # about half of a training
             cluster.remove_node(workers[1], allow_graceful=False)
 
         killer = threading.Thread(target=kill_one, daemon=True)

@@ -282,6 +282,8 @@ def test_a_reward_whose_file_has_moved_is_trusted_by_its_digest(tmp_path):
     assert trusted(config, f"{now}:same", digest).reward.reward == f"{now}:same"
     assert isinstance(trusted(config, f"{now}:same").reward.reward, Untrusted)  # of a weights file alone
     assert isinstance(trusted(config, f"{now}:other", digest).reward.reward, Untrusted)
+    with pytest.raises(ConfigError, match=r"now.py:same is not the reward that the network was trained with, .*was.py"):
+        trusted(config, f"{now}:same", "another")
     was.write_text("")
     assert isinstance(trusted(config, f"{now}:same", digest).reward.reward, Untrusted)
 

@@ -233,7 +233,7 @@ def fails_later():
         ("fails_to_begin", "begin of policy FILE:fails_to_begin() (line 12) failed: ZeroDivisionError"),
         ("takes_one", "define it with the arguments (scenes, simulation)"),
         ("fails_to_explain", "must return (actions, notes), the notes a dict"),
-        ("wrong_notes", "must return arrays as notes, a row for each episode"),
+        ("wrong_notes", "must return its notes as arrays with a row for each episode"),
         ("no_batch", "batch is 0; it must be at least 1"),
     ],
 )
@@ -263,7 +263,7 @@ def test_recovery_makes_a_network_of_a_user_s_look_farther_ahead_too(tmp_path):
 def test_what_a_file_needs_must_be_in_it_or_installed(own):
     (own.parent / "beside.py").write_text("SPEED = 0.5")
     own.write_text("from beside import SPEED\n" + OWN)
-    with pytest.raises(ConfigError, match="No module named 'beside'; only this one file is run"):
+    with pytest.raises(ConfigError, match="No module named 'beside'; a file cannot import those beside it"):
         load_policy(f"{own}:straight")
 
 

@@ -314,5 +314,5 @@ def test_gaps_without_an_axis_of_elements_are_refused():
     transition = random_transitions(5, elements=1)
     flat = replace(transition, separations=transition.separations[:, 0])
     for terms in (REWARDS["crowd"], REWARDS["sfm"]):
-        with pytest.raises(ValueError, match=r"and one more, \(200, 'K'\), not \(200,\)"):
+        with pytest.raises(ValueError, match="and one more axis"):
             terms(flat, Reward())

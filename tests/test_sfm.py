@@ -62,7 +62,7 @@ def test_lists_and_whole_numbers_do_and_wrong_shapes_are_named():
         (lambda: sfm_velocities([[0, 0]], 0, 0, 1, force=CROWD_FORCE, time_step=1), "position must have shape"),
         (lambda: sfm_velocities(still, [1, 2, 3], 0, 1, force=CROWD_FORCE, time_step=1), "velocity must broadcast"),
         (lambda: sfm_velocities(still, 0, 0, [1] * 3, force=CROWD_FORCE, time_step=1), "max_speed must broadcast"),
-        (lambda: sfm_velocities(still, 0, 0, -1, force=CROWD_FORCE, time_step=1), "max_speed must not be below 0"),
+        (lambda: sfm_velocities(still, 0, 0, -1, force=CROWD_FORCE, time_step=1), "max_speed must be at least 0"),
         (lambda: sfm_velocities(still, 0, 0, 1, force=CROWD_FORCE, time_step=-1), "time_step must be finite and not"),
         (
             lambda: sfm_velocities(still, 0, 0, 1, force=CROWD_FORCE, time_step=1, radius=[0, np.nan]),

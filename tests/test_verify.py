@@ -185,10 +185,14 @@ def test_a_reward_in_a_python_file_is_run_only_if_trusted_and_unchanged(copy, tm
     changed = findings(run, trust_reward=True)
     assert (changed["reward"].ok, changed["replay"].ok) == (False, None)
     assert not mark.exists()
+    rewrite(run / "run.json", lambda text: text.replace(f'"own_reward": "{digest}"', '"own_reward": null'))
+    forge_sums(run)
+    assert findings(run, trust_reward=True)["reward"].ok is False
+    assert not mark.exists()
     own.rename(tmp_path / "moved.py")
     gone = findings(run)
     assert {name for name, finding in gone.items() if finding.ok is None} == unjudged
-    assert "put the file there, then add --trust-reward" in gone["reward"].said
+    assert "put it there, then add --trust-reward" in gone["reward"].said
 
 
 def remade(run: Path, change: Callable[[dict], object], tested: bool = True) -> dict[str, Finding]:
@@ -407,9 +411,13 @@ def test_a_zip_file_of_windows_powershell_is_read(copy, tmp_path):
     with zipfile.ZipFile(tmp_path / "run.zip", "w") as packed:
         for path in (copy / "il").iterdir():
             packed.write(path, rf"run\{path.name}")
+        packed.writestr("..\\..\\outside.txt", "")
     with runs_in([tmp_path / "run.zip"]) as (runs, errors):
         assert errors == []
-        assert [folder.name for folder in runs.values()] == ["run"]
+        (folder,) = runs.values()
+        assert folder.name == "run"
+        assert not list(folder.parents[1].glob("outside.txt"))
+        assert not list(folder.parents[2].glob("outside.txt"))
 
 
 def test_without_openblas_a_few_episodes_may_end_otherwise(copy, monkeypatch):
@@ -422,5 +430,6 @@ def test_without_openblas_a_few_episodes_may_end_otherwise(copy, monkeypatch):
     monkeypatch.setattr("sfmrl.lessons.verify.Rerun", noting)
     for name, expected in (("SkylakeX", 0.0), ("unknown", TOLERANCE)):
         monkeypatch.setattr("sfmrl.lessons.verify.kernels", lambda name=name: name)
-        findings(copy / "il")
+        found = findings(copy / "il")
         assert allowed.pop() == expected
+        assert found["versions"].ok is (None if expected else True)

@@ -262,5 +262,5 @@ def test_what_crowdnav_would_play_otherwise_is_not_exported_and_no_contradiction
 def test_a_checkpoint_without_torch_is_one_error(tmp_path, monkeypatch):
     (tmp_path / "some.pth").write_bytes(saved(PLAIN))
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(ConfigError, match="for CrowdNav's, install torch"):
+    with pytest.raises(ConfigError, match="to read one of CrowdNav, install torch"):
         load_weights(tmp_path / "some.pth")

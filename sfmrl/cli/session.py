@@ -22,7 +22,7 @@ def exclude(given: dict[str, Any]) -> None:
 
 
 def check_planner(planners: Iterable[Planner], given: Iterable[str]) -> None:
-    """Raise ConfigError if a setting of recovery is `given` and none of the `planners` has recovery."""
+    """Raise ConfigError if a setting of recovery is `given` although none of the `planners` has recovery."""
     needless = [name for name in given if name != "recover"]
     if needless and not any(planner.recover for planner in planners):
         raise ConfigError(f"--{needless[0].replace('_', '-')} changes nothing without recovery; add --recover")
@@ -101,13 +101,14 @@ class TestOptions:
     def choose_all(
         self, policies: Sequence[str | None], settings: dict[str, Any]
     ) -> tuple[list[Any], list[str], Config]:
-        """Return policies and their names, as `choose` does, and the config of the first, whose reward judges all."""
+        """Return policies and their names, as `choose` does, and the first one's config, whose reward judges all."""
         from sfmrl.rewards import check_read
 
-        chosen, names, configs = map(list, zip(*(self._choose(policy, settings) for policy in policies), strict=True))
-        check_read(configs[0].reward, settings.get("reward", {}))
-        check_planner([config.planner for config in configs], settings.get("planner", {}))
-        return chosen, names, configs[0]
+        parts = [self._choose(policy, settings) for policy in policies]
+        config = parts[0][2]
+        check_read(config.reward, settings.get("reward", {}))
+        check_planner([own.planner for _, _, own in parts], settings.get("planner", {}))
+        return [policy for policy, _, _ in parts], [name for _, name, _ in parts], config
 
     def _choose(self, policy: str | None, settings: dict[str, Any]) -> tuple[Any, str, Config]:
         from sfmrl.own_code import names_code

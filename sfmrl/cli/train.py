@@ -1,7 +1,7 @@
 """The commands that train: `sfmrl il`, `sfmrl rl`."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,7 +12,7 @@ from sfmrl.cli.session import check_planner, drawn, exclude, say_differing_setti
 from sfmrl.config import Config, ConfigError, as_options, as_typed, override
 from sfmrl.runs.files import read_regular
 from sfmrl.runs.folders import as_words, finished
-from sfmrl.variants import PRESETS, VARIANTS, make_config
+from sfmrl.variants import PRESETS, VARIANTS, make_config, unusual_simulation
 
 VARIANT = option(
     None,
@@ -99,9 +99,9 @@ def il(variant: str | None = VARIANT, *, settings: dict[str, Any], training: Tra
     if training.go_on and _already_finished(run):
         return
     _train(run, lambda progress, stop: run_imitation(run, progress, stop))
-    usual, made = asdict(make_config(run.config.preset)), asdict(run.config)
-    needed = {name: made[name] for name, plain in (("preset", "quick"), ("seed", 0)) if made[name] != plain}
-    needed |= {name: value for name, value in made["simulation"].items() if value != usual["simulation"][name]}
+    preset, seed = run.config.preset, run.config.seed
+    needed: dict[str, Any] = {} if preset == "quick" else {"preset": preset}
+    needed |= ({"seed": seed} if seed else {}) | unusual_simulation(run.config)
     named = run.facts["variant"] in VARIANTS and run.facts["variant"] != "sarl"
     which = ["--variant", run.facts["variant"]] if named else ["--reward", "sfm", *["--forces"] * run.config.forces]
     following = ["sfmrl", "rl", *which, "--from", str(run.folder), *as_options(needed)]
@@ -166,7 +166,7 @@ def _new_config(
 
 
 def _say_start(run: Any) -> None:
-    """Say what a reinforcement starts from, and what changes for a network that was trained otherwise."""
+    """Say what a reinforcement starts from, and which settings differ from those of its network's training."""
     if run.imitation:
         say(f"from imitation run {run.imitation}")
     if weights := run.facts.get("weights"):
@@ -204,8 +204,8 @@ def _train(run: Any, work: Callable[..., Any]) -> Any:
     from sfmrl.runs.run import sole_use
 
     how = on_run(f"{run.kind} --resume", run)
-    began = run.facts.get("own_reward")
-    if began is not None and began != code_digest(run.config.reward.reward):
+    began, now = run.facts.get("own_reward"), code_digest(run.config.reward.reward)
+    if began and now and began != now:
         raise ConfigError(f"{run.config.reward.reward} has changed since {run.folder} began; start a new run with it")
     reward_terms(run.config.reward)  # raises an error that says why, if it cannot or must not be used
     with sole_use(run), StopSignal(say) as stop:

@@ -3,8 +3,8 @@
 The network's products are too small for several threads of OpenBLAS, and the bits would depend on their number. (The
 command also sets OPENBLAS_NUM_THREADS, unless you have, before it imports NumPy, so that no thread is started.) For
 large products of your own raise the number afterwards, as with threadpoolctl's `threadpool_limits`, and set it back
-before you play or train. NumPy on recent Macs uses Accelerate instead, and elsewhere it may use MKL: the command sets
-VECLIB_MAXIMUM_THREADS and MKL_NUM_THREADS, too; in Python, set them to 1 yourself.
+before you play or train. NumPy may use Accelerate (recent Macs) or MKL instead: the command also sets
+VECLIB_MAXIMUM_THREADS and MKL_NUM_THREADS; in Python, set them to 1 before you import NumPy.
 """
 
 import ctypes

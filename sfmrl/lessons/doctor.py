@@ -30,7 +30,8 @@ def examine(console: Console) -> Iterator[Finding]:
             yield Finding(name, True, metadata.version(name))
         except Exception as error:  # a broken installation can raise anything
             if name == "torch" and INTEL_MAC:
-                yield Finding(name, None, "there is none for this Mac; only ValueNetwork and CrowdNav's files need it")
+                said = "there is no torch 2.4 or later for Intel Macs; only ValueNetwork and CrowdNav's files need it"
+                yield Finding(name, None, said)
                 continue
             yield Finding(name, False, f"cannot be imported: {error}", f"{REINSTALL} {name}")
     yield _terminal(console)

@@ -58,8 +58,7 @@ def verify(
     here = _finding("versions", _versions, run)
     yield here
     if tolerance is None:
-        alike = here.ok and kernels() != "unknown"  # other libraries than OpenBLAS may add up a batch in another order
-        tolerance = 0.0 if alike else TOLERANCE
+        tolerance = 0.0 if here.ok else TOLERANCE
     rerun = Rerun(episodes, tolerance, threads, progress, here.ok is True)
     if run.kind == "il":
         yield _finding("demonstrations", rerun.demonstrations, run)
@@ -147,16 +146,19 @@ def _own_reward(run: Run, trust: bool) -> str | Finding:
     """A user's reward exists and has not changed; without `trust`, it is not judged and must not be run."""
     name, digest = run.config.reward.reward, run.facts["own_reward"]
     file = name.rpartition(":")[0]
-    if not trust and file.endswith(".py") and not Path(file).is_file():
-        said = f"there is no {file}, so the network was not played; put the file there, then add --trust-reward"
+    missing = not Path(file).is_file() if file.endswith(".py") else digest and code_digest(name) is None
+    if missing and not trust:
+        said = f"there is no {file} here, so the network was not played; put it there, then add --trust-reward"
         return Finding("reward", None, said)
-    if digest is not None and digest != code_digest(name):
+    if digest is None and file.endswith(".py"):
+        raise Disagreement(f"run.json has no SHA-256 of {name}, so it is not run")
+    if digest != code_digest(name):
         raise Disagreement(f"{name} is not the file that the run was trained with; put that one there")
     if not trust:
         unchecked = "that the network does what test.csv and result.json say" if run.kind == "rl" else "nothing here"
         said = f"{name} was not run, which leaves unchecked {unchecked}; read that code, then add --trust-reward"
         return Finding("reward", None, said)
-    return f"{name} is what the run was trained with" if digest else f"{name}: the run recorded no SHA-256 of it"
+    return f"{name} is what the run was trained with" if digest else f"{name} is in no file, and was not compared"
 
 
 def _versions(run: Run) -> str | Finding:
@@ -164,6 +166,8 @@ def _versions(run: Run) -> str | Finding:
     made, here = run.facts["versions"], versions()
     if run.kind == "rl" and "bits" in (result := result_of(run)):  # of the machine on which the training ended
         made = made | {"bits": result["bits"]}
+    if kernels() == "unknown":
+        return Finding("versions", None, "NumPy does not use OpenBLAS here: some episodes may end otherwise")
     if all(made.get(name) == here[name] for name in ("sfmrl", "bits")):
         return f"sfmrl {here['sfmrl']} and bits {here['bits']}, as the run: episodes must end as they did"
     differ = [name for name in ("sfmrl", "bits", "numpy", "processor") if made.get(name) != here[name]]

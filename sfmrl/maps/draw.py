@@ -34,7 +34,7 @@ def load_map(path: str | Path) -> str:
         encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"  # > in Windows PowerShell
         drawing = parse(data.decode(encoding), str(path))
     except UnicodeDecodeError:
-        raise ConfigError(f"{path} is not text in UTF-8, as a map is") from None
+        raise ConfigError(f"{path} is not text in UTF-8 or UTF-16, as a map is") from None
     return DRAWN + "/".join(_lines(_scenes(drawing)))
 
 

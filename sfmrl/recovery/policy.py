@@ -37,11 +37,7 @@ class RecoveringPolicy:
         if isinstance(network, SarlPolicy):
             farther = copy.copy(network)
             farther.trap_steps = TRAP_STEPS
-            if isinstance(policy, OwnPolicy):  # which explains errors
-                self.policy = copy.copy(policy)
-                self.policy.own = farther
-            else:
-                self.policy = farther
+            self.policy = policy.around(farther) if isinstance(policy, OwnPolicy) else farther
         self._geodesics: Geodesics | None = None
 
     def __repr__(self) -> str:

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from sfmrl.config import Config, ConfigError, as_options, as_typed
+from sfmrl.config import Config, ConfigError, Untrusted, as_options, as_typed
 from sfmrl.own_code import code_digest
 from sfmrl.rewards import reward_terms
 from sfmrl.runs.bits import versions
-from sfmrl.runs.files import SUMS, DamagedFile, digest_of, patiently, read_checked, read_sums, write_together
+from sfmrl.runs.files import SUMS, DamagedFile, digest_of, read_checked, read_sums, retried, write_together
 from sfmrl.runs.folders import (
     DEMONSTRATIONS,
     FIRST,
@@ -38,7 +38,7 @@ from sfmrl.runs.run import Run, open_run
 from sfmrl.runs.weights import find_weights, load_weights, model_names
 from sfmrl.scenes import DRAWN, parse_mix, sample_scenes
 from sfmrl.states import column_names
-from sfmrl.variants import make_config, variant_name
+from sfmrl.variants import unusual_simulation, variant_name
 from sfmrl.world import reset, transition
 
 
@@ -110,14 +110,14 @@ def _make(folder: Path, files: dict[str, str], overwrite: bool) -> None:
     with locked(folder):
         _check_replaceable(folder, overwrite)  # another process may have made a run in the meantime
         if MAP in _listed(folder):
-            patiently((folder / MAP).unlink, True)
+            retried((folder / MAP).unlink, True)
         elif MAP in files and (folder / MAP).exists():
             raise ConfigError(f"{folder / MAP} does not belong to the run; move it away, or name another --run")
         # First SHA256SUMS: if this is interrupted, the old run can no longer be opened, but it can still be replaced.
-        patiently((folder / SUMS).unlink, True)
+        retried((folder / SUMS).unlink, True)
         for path in files_of_run(folder):
             if path.name not in FIRST:
-                patiently(path.unlink)
+                retried(path.unlink)
         write_together(folder, {name: text.encode() for name, text in files.items()})
 
 
@@ -182,12 +182,12 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
         return _started(config, source, from_scratch, folder)
     if from_scratch:
         return create_run("rl", config, folder, **existing)
-    if source is not None and folder is not None and folder.resolve() in (source.resolve(), source.resolve().parent):
+    source = source or _newest_fitting(config)
+    if folder is not None and folder.resolve() in (source.resolve(), source.resolve().parent):
         raise ConfigError(f"--run {folder} would replace {source}, from which the training starts; name another --run")
-    if source is not None and source.is_file():
+    if source.is_file():
         config, weights = _start_from_weights(config, source)
         return create_run("rl", config, folder, **existing, weights=weights)
-    source = source or _newest_fitting(config)
     imitation = open_run(source, "il")
     if not finished(source):
         raise ConfigError(unfinished(source))
@@ -214,9 +214,9 @@ def _started(config: Config, source: Path | None, from_scratch: bool, folder: Pa
 
 
 def _start_from_weights(config: Config, source: Path) -> tuple[Config, dict[str, str]]:
-    """The config of a training that starts from a weights file; for run.json, the file, its digest, and what changes.
+    """The config of a training that starts from a weights file; for run.json the file, its digest, and what differs.
 
-    What changes are the settings that decide what a network has to learn; CrowdNav's files do not say theirs.
+    Compared are the reward and the simulation; CrowdNav's files do not state theirs.
     """
     network, trained = load_weights(source)
     if network.forces != config.forces:
@@ -224,13 +224,13 @@ def _start_from_weights(config: Config, source: Path) -> tuple[Config, dict[str,
         remedy = "--forces" if network.forces else "--no-forces, and a variant without"
         raise ConfigError(f"{source} reads {columns} columns, this training {here}; choose {remedy}")
     config = replace(config, value_prior=network.value_prior)
-    theirs, ours = ({"reward": c.reward.reward} | asdict(c.simulation) for c in (trained, config))
-    changed = [name for name in theirs if theirs[name] != ours[name]]
-    if trained == Config(preset="paper", forces=network.forces):  # a checkpoint of CrowdNav's
-        changed = []
-    before, now = (as_typed(as_options({name: task[name] for name in changed})) for task in (theirs, ours))
     facts = {"file": str(source.resolve()), "sha256": digest_of(source)}
-    return config, facts | ({"trained_with": before, "goes_on_with": now} if changed else {})
+    theirs, ours = ({"reward": c.reward.reward} | asdict(c.simulation) for c in (trained, config))
+    differ = [name for name in theirs if theirs[name] != ours[name]]
+    if differ and isinstance(trained.reward.reward, Untrusted):  # else it is CrowdNav's
+        tasks = {"trained_with": theirs, "goes_on_with": ours}
+        facts |= {key: as_typed(as_options({name: task[name] for name in differ})) for key, task in tasks.items()}
+    return config, facts
 
 
 def _newest_fitting(config: Config) -> Path:
@@ -244,9 +244,7 @@ def _newest_fitting(config: Config) -> Path:
             continue
         if all(getattr(made, name) == getattr(config, name) for name in ("preset", "seed", "simulation")):
             return folder
-    usual = asdict(make_config(config.preset).simulation)
-    simulation = {name: value for name, value in asdict(config.simulation).items() if value != usual[name]}
-    flags = as_typed(as_options({"preset": config.preset, "seed": config.seed} | simulation))
+    flags = as_typed(as_options({"preset": config.preset, "seed": config.seed} | unusual_simulation(config)))
     raise ConfigError(
         f"no finished imitation run fits ({flags}): type sfmrl il {flags}, name a run with --from, or do without with "
         "--from-scratch"

@@ -41,7 +41,8 @@ def read_foreign(data: bytes, path: Path) -> Any:
     try:
         import torch
     except ImportError as error:
-        raise ConfigError(f"{path} is no weights file of sfmrl's; for CrowdNav's, install torch ({error})") from None
+        said = f"is not a weights file of sfmrl; to read one of CrowdNav, install torch ({error})"
+        raise ConfigError(f"{path} {said}") from None
 
     try:
         with warnings.catch_warnings():

@@ -44,7 +44,7 @@ def write_together(folder: Path, files: dict[str, bytes], *, checked: bool = Tru
             _write_sums(folder, read_sums(folder) | {name: sha256(data) for name, data in files.items()})
         for name in files:
             with _naming(folder / name):
-                patiently(os.replace, temporary[name], folder / name)
+                retried(os.replace, temporary[name], folder / name)
     except BaseException:
         for path in temporary.values():
             with suppress(OSError):  # on a read-only file system, where the first error says more
@@ -58,12 +58,12 @@ def write_together(folder: Path, files: dict[str, bytes], *, checked: bool = Tru
             os.close(descriptor)
 
 
-def patiently(move: Callable[..., None], *arguments: Any) -> None:
-    """Rename or remove a file; on Windows, wait up to 3 s while another process, such as a scanner, has it open."""
+def retried(operation: Callable[..., None], *arguments: Any) -> None:
+    """Rename or remove a file; on Windows, retry for up to 3 s while another process (a scanner) has it open."""
     deadline = time.monotonic() + 3.0
     while True:
         try:
-            return move(*arguments)
+            return operation(*arguments)
         except PermissionError:
             if not WINDOWS or time.monotonic() > deadline:
                 raise
@@ -91,7 +91,7 @@ def remove_checked(paths: list[Path]) -> None:
     if paths:
         unlist({path.name for path in paths}, paths[0].parent)
     for path in paths:
-        patiently(path.unlink, True)
+        retried(path.unlink, True)
 
 
 def unlist(names: set[str], folder: Path) -> None:

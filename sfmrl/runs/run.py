@@ -15,11 +15,11 @@ import numpy as np
 from sfmrl.config import Config, ConfigError, json_object
 from sfmrl.runs.files import (
     DamagedFile,
-    patiently,
     read_checked,
     read_regular,
     read_sums,
     remove_checked,
+    retried,
     unlist,
     write_together,
 )
@@ -42,7 +42,7 @@ class Run:
     def imitation(self) -> Path | None:
         """The imitation run that this training started from; None without one."""
         source = self.facts.get("imitation")
-        return None if source is None else Path(os.path.normpath(self.folder / source.replace("\\", "/")))
+        return None if source is None else Path(os.path.normpath(self.folder / source))
 
     def checkpoints(self) -> list[Path]:
         """The checkpoint files, oldest first."""
@@ -139,7 +139,7 @@ def sole_use(run: Run) -> Iterator[None]:
 def _tidy(run: Run) -> None:
     """Remove what killed processes left: temporary files, digests without files, checkpoints of a finished run."""
     for path in leftovers(run.folder):
-        patiently(path.unlink)
+        retried(path.unlink)
     gone = {name for name in read_sums(run.folder) if not (run.folder / name).exists()}
     if finished(run.folder):  # then only checkpoints may be missing: any other missing file stays listed
         gone = set(filter(CHECKPOINT.fullmatch, gone))

@@ -60,7 +60,7 @@ def load_weights(path: Path) -> tuple[FastNetwork, Config]:
 
 
 def reward_digest(path: Path) -> str | None:
-    """The SHA-256 of the user's own reward with which the network in a run's weights file was trained; else None."""
+    """The SHA-256 of the user's own reward, from the run.json beside the weights; None without one."""
     digest = facts_of(path.parent).get("own_reward")
     return digest if isinstance(digest, str) else None
 

@@ -18,7 +18,8 @@ MOVING = 1e-6  # m/s: a slower velocity has no direction
 
 # Each metric's definition, unit and source, as `--help` and the tutorials give them.
 SOCIAL_METRICS = {
-    "danger_frequency": "steps with a gap below 0.2 m, without each episode's last, as a share of all steps (CrowdNav)",
+    "danger_frequency": "share of all steps that have a gap below 0.2 m, "
+    "not counting an episode's last step (CrowdNav)",
     "danger_separation": "mean gap in those steps, m (CrowdNav)",
     "path_length": "length of the robot's path, m",
     "spl": "success x shortest path around the squares' outlines / the longer of it and the path, both to the goal "
