@@ -14,7 +14,7 @@ import numpy as np
 
 from sfmrl.actions import Notes, Policy, explained
 from sfmrl.batch import Batch
-from sfmrl.config import MOST_EPISODES, Config, ConfigError, Reward, Simulation, counted, in_range
+from sfmrl.config import Config, ConfigError, Reward, Simulation, counted, in_range
 from sfmrl.geometry import length
 from sfmrl.lookahead import step_discount
 from sfmrl.own_code import checked_action, kind, name_of, read_only
@@ -165,17 +165,18 @@ def play_episodes(
         raise MemoryError(f"{count} episodes of up to {simulation.longest} steps need {needed / 1e9:.1f} GB")
     if begin := getattr(policy, "begin", None):
         begin(scenes, simulation)
-    batch = int(in_range("batch", getattr(policy, "batch", BATCH) if batch is None else batch, 1, MOST_EPISODES))
+    batch = int(in_range("batch", getattr(policy, "batch", BATCH) if batch is None else batch, 1, math.inf))
     moments, heading, parts, notes = _recorded(reset(scenes, simulation), policy, terms, batch, keep, progress)
     steps = 1 + (parts["outcome"] != RUNNING).argmax(1)
     most = int(steps.max(initial=0))
     played = Transition(**parts)[:, :most]
     rewards = rewards_of(played, steps, terms)
-    first = returns_of(rewards, step_discount(discount, scenes.v_pref[:, 0], simulation))[:, :1]  # none of no scenes
+    from_each_step = returns_of(rewards, step_discount(discount, scenes.v_pref[:, 0], simulation))
+    returns = from_each_step[:, :1].sum(1)  # from the first one on; there is none without scenes
     notes = {name: array[:, :most] for name, array in notes.items()}
     position, velocity = moments[:, :, : most + 1]
     heading = None if heading is None else heading[:, : most + 1]
-    return Record(scenes, simulation, steps, position, velocity, played, rewards, first.sum(1), notes, heading)
+    return Record(scenes, simulation, steps, position, velocity, played, rewards, returns, notes, heading)
 
 
 def _recorded(
@@ -235,7 +236,6 @@ def _choice(policy: Policy, world: World, moves: np.ndarray, keep: bool) -> tupl
 def _write(arrays: dict[str, np.ndarray], world: World, parts: dict[str, np.ndarray], count: int) -> None:
     """Write a step's `parts` (e, ...) into `arrays` (E, T, ...), by name; make arrays of NaN or 0 that are missing."""
     for name, part in parts.items():
-        part = np.asarray(part)
         if name not in arrays:
             empty = np.nan if part.dtype.kind == "f" else 0  # 0 is RUNNING, too
             arrays[name] = np.full((count, world.simulation.longest, *part.shape[1:]), empty, part.dtype)

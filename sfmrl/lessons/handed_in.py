@@ -72,7 +72,7 @@ def _unpack(path: Path, folder: Path) -> None:
             with zipfile.ZipFile(path) as packed:
                 _check_size(path, sum(member.file_size for member in packed.infolist()))
                 for member in packed.infolist():
-                    member.filename = member.filename.replace("\\", "/")  # Windows PowerShell writes \\ between folders
+                    member.filename = member.filename.replace("\\", "/")  # Windows PowerShell writes \ between folders
                     packed.extract(member, folder)
     except ConfigError:
         raise
