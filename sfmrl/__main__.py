@@ -33,7 +33,7 @@ def _end_at_once(number: int, frame: object) -> None:
     """End without an exception, which an import may swallow or wrap; before the command starts, nothing is lost."""
     try:
         os.write(2, b"sfmrl: interrupted\n")
-    finally:  # also if nobody reads it
+    finally:  # also if standard error is closed
         os._exit(INTERRUPTED)
 
 

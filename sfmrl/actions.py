@@ -33,13 +33,13 @@ def robot_actions(world: World) -> np.ndarray:
     return _actions(world.heading[:, None] + np.linspace(-most, most, 16)) * world.v_pref[:, 0, None, None]
 
 
-Notes = dict[str, np.ndarray]  # what a policy notes on its choice: arrays (E, ...) by name
+Notes = dict[str, np.ndarray]  # a policy's notes on its choice: arrays (E, ...) by name
 
 
 class Policy(Protocol):
     """Chooses the robot's actions: a function of (world, crowd_velocity), or an object that is called like one.
 
-    An object may have more, which is then used:
+    An object may also have any of these, which are then used:
     begin(scenes, simulation): called before the first step of every play, to prepare for its episodes
     explain(world, crowd_velocity): the call's actions and `Notes` on them, for records that keep these
     attention(world): the share of attention that each element gets, (E, K), for replays

@@ -89,7 +89,7 @@ class Simulation(Settings):
     """Who the humans are, how they move, and when an episode ends; CrowdNav's values, except where they are marked."""
 
     time_step: float = knob(0.25, "length of a step, s", 1e-3, 1)
-    time_limit: float = knob(25.0, "an episode is timed out 1 s before this time, s (CrowdNav)", 1, 3600)
+    time_limit: float = knob(25.0, "episodes time out 1 s before this time, s (CrowdNav)", 1, 3600)
     crowd: str = knob("orca", "what drives the humans", choices=("orca", "sfm"))
     kinematics: str = knob(
         "holonomic",
@@ -98,11 +98,11 @@ class Simulation(Settings):
     )
     squares: str = knob(
         "solid",
-        "measure gaps to squares from their outline (ours) or the disc inside (paper)",
+        "measure gaps to a square's outline (ours) or to the disc inside it (paper)",
         choices=("solid", "disc"),
     )
     robot_visible: bool = knob(True, "the humans see the robot (paper: they do)")
-    random_attributes: bool = knob(False, "humans differ: radius 0.3-0.5 m, at most 0.5-1.5 m/s (CrowdNav)")
+    random_attributes: bool = knob(False, "humans differ: radius 0.3-0.5 m, highest speed 0.5-1.5 m/s (CrowdNav)")
     safety_space: float = knob(0.0, "added to every radius when ORCA drives the robot, m", 0, 10)
     clearance: float = knob(0.01, "added to every radius inside ORCA, m (CrowdNav)", 0, 10)
     neighbor_distance: float = knob(10.0, "ORCA: agents farther away are ignored, m (CrowdNav)", 0, 1e6)
@@ -133,8 +133,8 @@ class Reward(Settings):
     collision: float = knob(-0.25, "reward for a collision (CrowdNav)", *ANY_REWARD)
     discomfort_distance: float = knob(0.2, "closer than this is too close, m (CrowdNav)", 0, 1000)
     discomfort_slope: float = knob(0.125, "crowd: penalty per metre too close, per 0.25 s (CrowdNav)", *ANY_REWARD)
-    discomfort_amplitude: float = knob(-0.03, "sfm: reward at zero separation, per 0.25 s (the paper's A)", *ANY_REWARD)
-    discomfort_decay: float = knob(10.0, "sfm: how fast it fades with separation, 1/m (the paper's B)", 0, 1e6)
+    discomfort_amplitude: float = knob(-0.03, "sfm: discomfort at gap 0, per 0.25 s (the paper's A)", *ANY_REWARD)
+    discomfort_decay: float = knob(10.0, "sfm: how fast discomfort fades with the gap, 1/m (the paper's B)", 0, 1e6)
     k: float = knob(0.001, "sfm: weight of moving at the preferred velocity, per 0.25 s (the paper's k)", *ANY_REWARD)
     distance_weight: float = knob(0.0001, "sfm: penalty per metre from the goal, per 0.25 s", *ANY_REWARD)
     discount_start: float = knob(10.0, "sfm-discount: arriving later than this costs, s", 0, 3600)
@@ -160,8 +160,8 @@ class Imitation(Settings):
     epochs: int = knob(50, "passes over the demonstrations", 1, 10_000)
     batch_size: int = knob(100, "states in a batch", 1, 100_000)
     learning_rate: float = knob(0.01, "learning rate", 0, 1000)
-    refit: bool = knob(True, "rl: fit the demonstrations again if its reward differs from that of il (CrowdNav)")
-    environment: str = knob("1", "environments of the demonstrations")
+    refit: bool = knob(True, "in rl, fit the demonstrations again if the reward is not that of il (CrowdNav)")
+    environment: str = knob("1", "environment of the demonstrations, or a mix such as 1:0.7,2:0.3")
 
 
 @dataclass(frozen=True)
@@ -169,13 +169,13 @@ class Reinforcement(Settings):
     """Deep V-learning; the paper's numbers, CrowdNav's where it gives none."""
 
     episodes: int = knob(10_000, "training episodes", 1, 10_000_000)
-    parallel: int = knob(1, "episodes played side by side, while the network learns from the previous ones", 1, 10_000)
-    batches: int = knob(100, "batches of learning an episode (CrowdNav)", 0, 10_000)
+    parallel: int = knob(1, "episodes side by side; from 2 on, while the network learns from those before", 1, 10_000)
+    batches: int = knob(100, "gradient steps per episode, a batch each (CrowdNav)", 0, 10_000)
     batch_size: int = knob(100, "states in a batch", 1, 100_000)
     learning_rate: float = knob(0.001, "learning rate", 0, 1000)
     epsilon_start: float = knob(0.5, "share of random actions at the start (CrowdNav)", 0, 1)
-    epsilon_end: float = knob(0.1, "share of random actions at the end (CrowdNav)", 0, 1)
-    epsilon_episodes: int = knob(4000, "episodes over which this share falls (CrowdNav)", 1, 10_000_000)
+    epsilon_end: float = knob(0.1, "share of random actions from --epsilon-episodes on (CrowdNav)", 0, 1)
+    epsilon_episodes: int = knob(4000, "episodes in which the share of random actions falls (CrowdNav)", 1, 10_000_000)
     targets: str = knob(
         "td",
         "value to learn: td, the reward plus the target network's next value, without time-outs (CrowdNav); or "
@@ -184,8 +184,8 @@ class Reinforcement(Settings):
     )
     target_interval: int = knob(50, "episodes between updates of the target network (CrowdNav)", 1, 10_000_000)
     memory: int = knob(100_000, "states kept to learn from (CrowdNav)", 1, 10_000_000)
-    environment: str = knob("table1", "environments to train in, and their shares")
-    test_environment: str = knob("table1", "environments of validation and test; --environment alone sets both")
+    environment: str = knob("table1", "environment to train in, or a mix such as 1:0.7,2:0.3")
+    test_environment: str = knob("table1", "environment of validation and test; follows --environment unless given")
     validation_interval: int = knob(1000, "episodes between validations", 1, 10_000_000)
     validation_episodes: int = knob(100, "episodes of a validation", 1, MOST_EPISODES)
     test_episodes: int = knob(500, "episodes of the final test", 1, MOST_EPISODES)
@@ -195,8 +195,8 @@ class Reinforcement(Settings):
 class Config(Settings):
     """All settings that decide the numbers of a training."""
 
-    seed: int = knob(0, "seed of all random numbers", 0, LARGEST_SEED)
-    preset: str = knob("quick", "schedule: minutes, or as published (hours)", choices=("quick", "paper"))
+    seed: int = knob(0, "seed of the training; validation and test are the same for every seed", 0, LARGEST_SEED)
+    preset: str = knob("quick", "settings: sfmrl's (minutes), or as published (hours)", choices=("quick", "paper"))
     forces: bool = knob(False, "social forces in the state: 17 columns instead of 13")
     discount: float = knob(0.9, "discount per second at 1 m/s (gamma; paper, CrowdNav)", 0, 1)
     value_prior: bool = knob(False, "write the value as 0.9^(goal distance - 0.3) (0.8 + network) (ours)")

@@ -133,7 +133,7 @@ def play(
     Raises ConfigError if an argument is none of these, and if a policy or reward returns anything else.
     """
     if not isinstance(scenes, Scenes):
-        raise ConfigError(f"scenes is {kind(scenes)}; it takes Scenes, as sample_scenes('circle5', 100) makes them")
+        raise ConfigError(f"scenes is {kind(scenes)}; it takes Scenes, such as sample_scenes('circle5', 100)")
     chosen = find_policy(policy, reward)
     own = config_of(chosen).simulation if simulation is None else simulation
     given = {"robot_visible": robot_visible, "safety_space": safety_space, "crowd": crowd, "kinematics": kinematics}
@@ -252,7 +252,7 @@ def _refill(start: World, world: World, going: np.ndarray, fresh: np.ndarray) ->
 
 
 def memory_size() -> float:
-    """The machine's memory in bytes; infinite on systems that do not tell."""
+    """The machine's memory in bytes; infinite on systems that do not report it."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):

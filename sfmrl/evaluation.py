@@ -50,9 +50,9 @@ def evaluation_record(
 
     `environment`, `simulation`, `reward` and `discount` (the last two for the total reward) default to those of the
     policy's training or, for a policy that was not trained, to table 1's mix and CrowdNav's. A `simulation` replaces
-    all of the policy's settings: change one by `dataclasses.replace(policy.config.simulation, time_limit=40)`.
-    `progress` is called with the number of episodes that have just ended. Raises ConfigError on unknown names, on less
-    than one episode and on a discount out of range.
+    the policy's whole simulation: to change one setting of it, pass
+    `dataclasses.replace(policy.config.simulation, time_limit=40)`. `progress` is called with the number of episodes
+    that have just ended. Raises ConfigError on unknown names, on fewer than one episode and on a discount out of range.
     """
     in_range("episodes", episodes, 1, MOST_EPISODES)
     chosen = find_policy(policy, reward)
@@ -82,7 +82,8 @@ def metrics(record: Record, policy: Policy | None = None) -> Metrics:
     result = Metrics(_summary(record))
     if isinstance(policy, RecoveringPolicy):
         if len(policy.helped) != len(record):
-            raise ValueError(f"the policy has just played {len(policy.helped)} episodes, the record has {len(record)}")
+            counts = f"the policy has just played {len(policy.helped)} episodes, the record has {len(record)}"
+            raise ValueError(f"{counts}; give the record that the policy has just played")
         result["recovered"] = _mean(policy.helped)
     names = np.unique(record.scenes.environment)
     if len(names) > 1:

@@ -75,9 +75,9 @@ def checked_mean_loss(losses: list[float], optimizer: SGD, settings: Imitation |
     loss = float(np.mean(losses))
     if not (math.isfinite(loss) and np.isfinite(optimizer.network.flat).all()):
         raise ConfigError(
-            f"the training diverged, its loss is {loss:g}: learning-rate {settings.learning_rate:g} is likely too high "
-            f"for {type(optimizer).__name__} (or the rewards are too large); start a new run with a smaller "
-            "--learning-rate. This one keeps its last good checkpoint"
+            f"the training diverged (loss {loss:g}): learning-rate {settings.learning_rate:g} is likely too high for "
+            f"{type(optimizer).__name__} (or the rewards are too large); start a new run with a smaller "
+            "--learning-rate. The old run keeps its last good checkpoint"
         )
     return loss
 

@@ -47,7 +47,8 @@ class SarlPolicy:
     def __init__(self, network, config: Config, threads: int = 1) -> None:
         self.network, self.config, self.threads = as_fast(network), config, threads
         if self.network.forces != config.forces:
-            raise ConfigError(f"the config has forces {config.forces}, the network {self.network.forces}")
+            differ = f"the config has forces {config.forces}, the network {self.network.forces}"
+            raise ConfigError(f"{differ}; give the config that the network was trained with")
         self.trap_steps = int(config.careful)  # how many steps deep the traps are that it avoids
         self._terms = reward_terms(config.reward)
         self._pool = ThreadPoolExecutor(threads)

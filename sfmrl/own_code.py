@@ -20,14 +20,14 @@ import numpy as np
 
 from sfmrl.config import Config, ConfigError, Untrusted, as_typed, override, suggest
 
-READ_ONLY = "what it is given is read-only: work on a copy, as numpy.array(...) makes one"
+READ_ONLY = "its arguments are read-only: work on a copy, such as numpy.array(...)"
 NO_MODULE = "No module named"
 HINTS = {  # what to change in a user's function, by a part of the error that it raises
     "read-only": READ_ONLY,
     "cannot assign to field": READ_ONLY,
     "positional argument": "define it with the arguments {arguments}",
-    NO_MODULE: "a file cannot import those beside it: copy what it needs into it, or install that as a package",
-    "truth value of an array": "it is given whole arrays: choose with numpy.where or numpy.select instead of if",
+    NO_MODULE: "a file cannot import the files beside it: copy what it needs into it, or install that as a package",
+    "truth value of an array": "its arguments are whole arrays: use numpy.where or numpy.select instead of if",
 }
 
 ARGUMENTS = {
@@ -224,6 +224,6 @@ def _file(name: str, what: str = "reward") -> str:
     if not place.endswith(".py"):
         return ""
     if not Path(place).is_file():
-        remedy = "put it there" if isinstance(name, Untrusted) else "put it there, or write its path as seen from here"
+        remedy = "put it there" if isinstance(name, Untrusted) else "put it there, or give its full path"
         raise ConfigError(f"{what} {name}: there is no file {place}; {remedy}")
     return place

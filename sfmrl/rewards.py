@@ -130,7 +130,8 @@ def check_read(reward: Reward, given: Iterable[str]) -> None:
         if reward.reward in READS and name not in ("reward", *READS[reward.reward]):
             readers = " or ".join(other for other, read in READS.items() if name in read)
             flag = name.replace("_", "-")
-            raise ConfigError(f"--{flag} changes nothing under --reward {reward.reward}; {readers} would read it")
+            text = f"--{flag} changes nothing with --reward {reward.reward}; leave it out, or choose {readers}"
+            raise ConfigError(text)
 
 
 def reward_terms(reward: str | Reward | OwnReward) -> Callable[[Transition], Terms]:
@@ -138,10 +139,10 @@ def reward_terms(reward: str | Reward | OwnReward) -> Callable[[Transition], Ter
 
     A user's own reward (a function, or its name `file.py:function` or `package.module:function`) takes (transition,
     settings) and returns an array (...), which becomes the one term "reward". It gets read-only copies of the arrays;
-    one given as a function gets the settings `Reward()`. Each number may depend on its own transition alone: which ones
-    come together varies, also with the threads, several of which may call it at once. Raises ConfigError if there is no
-    such reward, and if a user's own fails or returns another shape or numbers that are not finite; UntrustedReward if
-    only a file names it.
+    one given as a function gets the settings `Reward()`. Each number may depend on its own transition alone, since the
+    transitions in a call vary, for instance with the number of threads, and several threads may call it at once. Raises
+    ConfigError if there is no such reward, and if a user's own fails or returns another shape or numbers that are not
+    finite; UntrustedReward if only a file names it.
     """
     if callable(reward):
         return _own_terms(reward, Reward(), name_of(reward))
@@ -171,6 +172,6 @@ def _own_terms(own: OwnReward, settings: Reward, name: str) -> Callable[[Transit
 
     def terms(transition: Transition) -> Terms:
         paid = guarded(who, "failed", file, lambda: own(read_only(transition), settings))
-        return {"reward": checked_array(who, own, paid, np.shape(transition.outcome), "one number a transition")}
+        return {"reward": checked_array(who, own, paid, np.shape(transition.outcome), "one number per transition")}
 
     return terms

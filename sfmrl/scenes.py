@@ -25,7 +25,7 @@ ENVIRONMENTS = {
     "2": "a concave barrier in the middle, five people",
     "3": "a concave barrier somewhere in the middle, five people",
     "4": "a row of three squares and a row of two, five people",
-    "5": "a concave barrier, a row of three and a row of two, nobody",
+    "5": "a concave barrier, a row of three and a row of two, no people",
     "maps": "twenty layouts that no training samples, in turn; map-u, map-room ... are single ones",
     "circle": "ten people on a circle, no squares (CrowdNav); circle5 has five",
     "square": "ten people who cross a square of 10 m, no squares in it (CrowdNav); square5 has five",
@@ -83,7 +83,7 @@ class Scenes(Batch):
         if not np.isfinite(start[~absent]).all() or not np.isfinite(goal[~absent & ~square]).all():
             raise ValueError("start and goal must be finite for everyone who has a start")
         if not np.isfinite((radius, v_pref, speed)).all() or (radius <= 0).any() or ((v_pref < 0) | (speed < 0)).any():
-            raise ValueError("radius must be above 0 m, v_pref not below 0 m/s, nor preferred_speed, and all finite")
+            raise ValueError("radius must be above 0 m, v_pref and preferred_speed at least 0 m/s, and all finite")
         goal[square] = start[square]
         start[absent] = goal[absent] = np.nan
         checked = (start, goal, radius, v_pref, square, environment, episode, speed if own else None)
@@ -153,7 +153,7 @@ def sample_scenes(
     in_range("people", people or 0, 0, np.inf)
     circle = in_range("circle", circle_of(people) if circle is None else circle, RADIUS, 1e6, whole=False)
     if random_attributes and people_speed is not None:
-        raise ConfigError("a speed of all humans and random attributes exclude each other; leave out one of them")
+        raise ConfigError("one speed for all humans and random attributes exclude each other; leave out one of them")
 
     rngs = [generator(seed, phase, number) for number in numbers]
     environments = [environment_of(name) for name in shares]
@@ -172,7 +172,7 @@ def _numbers(episodes: int | Sequence[int]) -> np.ndarray:
     """The numbers (E,) of episodes that are given by their count or their numbers; raises ConfigError."""
     numbers = np.asarray(episodes if np.size(episodes) else 0)  # an empty list would be one of floats
     if not np.issubdtype(numbers.dtype, np.integer) or numbers.ndim > 1 or (numbers < 0).any():
-        raise ConfigError(f"episodes is {episodes!r}; it takes how many, or their numbers, counted from 0")
+        raise ConfigError(f"episodes is {episodes!r}; it takes their count, or a list of their numbers, counted from 0")
     return np.arange(numbers.item()) if numbers.ndim == 0 else numbers
 
 
@@ -182,7 +182,7 @@ def parse_mix(environment: str | int) -> dict[str, float]:
     A drawing, "map:R.#.G/..#..", cannot be mixed with others.
     """
     if not isinstance(environment, (str, Integral)):
-        raise ConfigError(f"environment is {environment!r}; it takes a name or a mix, as 2, table1 or 1:0.7,2:0.3")
+        raise ConfigError(f"environment is {environment!r}; it takes a name or a mix, such as 2 or 1:0.7,2:0.3")
     text = str(environment)
     if text.startswith(DRAWN):
         environment_of(text)

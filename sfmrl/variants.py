@@ -1,11 +1,11 @@
-"""The paper's variants and the presets, as data: what each changes in `Config()`, the paper's SARL, squares solid."""
+"""The paper's variants and the presets, as data: what each changes in `Config()`, SARL with solid squares."""
 
 from dataclasses import asdict
 from typing import Any
 
 from sfmrl.config import Config, ConfigError, override, suggest
 
-# The mixes of the paper's two tables (shares add up to 1). That table 2's is also for its test is our reading.
+# The mixes of the paper's two tables (shares add up to 1). Testing table 2 on its training mix is our reading.
 MIXES = {"table1": "1:0.7,2:0.3", "table2": "2:0.25,3:0.25,4:0.25,5:0.25"}
 
 PRESETS: dict[str, dict[str, Any]] = {

@@ -100,13 +100,13 @@ def test_from_imitation_to_replay(sfmrl: Call, tmp_path: Path):
 
     finished = sfmrl("rl", "--resume", "runs/rl-sarl-sfm2-seed0")
     assert finished.returncode == 2
-    assert "is finished; there is nothing to go on with" in finished.stderr
+    assert "is finished; nothing is left to train" in finished.stderr
 
 
 def test_an_existing_run_is_only_replaced_when_told(sfmrl: Call, tmp_path: Path):
     assert sfmrl("il", *TINY_IL, "--run", "mine").returncode == 0
     weights = (tmp_path / "mine" / "weights.npz").read_bytes()
-    assert_one_line_error(sfmrl("il", *TINY_IL, "--run", "mine"), "mine is there already", "--overwrite")
+    assert_one_line_error(sfmrl("il", *TINY_IL, "--run", "mine"), "mine already exists", "--overwrite")
     assert (tmp_path / "mine" / "weights.npz").read_bytes() == weights
     assert sfmrl("il", *TINY_IL, "--seed", "3", "--run", "mine", "--overwrite").returncode == 0
     assert (tmp_path / "mine" / "weights.npz").read_bytes() != weights
@@ -132,10 +132,10 @@ def test_a_network_of_crowdnav_s_is_trained_on_from_its_file(sfmrl: Call, tmp_pa
     torch.save(network.state_dict(), path)
     short = [*TINY_RL, "--environment", "5", "--time-limit", "4", "--learning-rate", "0", "--no-recover"]
     short += ["--run", "mine"]
-    assert_one_line_error(sfmrl("rl", "--from", path, "--forces", *short), "reads 13 columns, this training 17")
+    assert_one_line_error(sfmrl("rl", "--from", path, "--forces", *short), "reads 13 columns, but this training has 17")
     done = sfmrl("rl", "--from", path, *short)  # on a process of its own, too, since --parallel is above 1
     assert done.returncode == 0, done.stderr
-    assert f"from the network in {path}, without value-prior" in done.stderr
+    assert f"from the network in {path}, without --value-prior" in done.stderr
     trained, config = load_weights(tmp_path / "mine" / "weights.npz")
     assert (trained.sizes, config.value_prior) == (sizes, False)
     assert np.array_equal(trained.flat, as_fast(network).flat)  # at a learning rate of 0
@@ -146,7 +146,7 @@ def test_a_network_of_crowdnav_s_is_trained_on_from_its_file(sfmrl: Call, tmp_pa
     for name in ("weights.npz", "result.json", "best.npz"):
         (tmp_path / "mine" / name).unlink()
     torch.save(ValueNetwork(seed=4, sizes=sizes).state_dict(), path)
-    assert_last_line(sfmrl("rl", "--resume", "mine"), "is not what this run began with any more")
+    assert_last_line(sfmrl("rl", "--resume", "mine"), "has changed or gone since this run began")
 
 
 def test_a_model_is_trained_on_by_its_name(tmp_path: Path, monkeypatch):
@@ -211,7 +211,7 @@ def test_every_number_of_the_config_has_both_ends_and_takes_nothing_beyond(secti
 
 
 WRONG_USE = [
-    (("eval", "orca", "--k", "0.1"), ("--k changes nothing under --reward crowd",)),
+    (("eval", "orca", "--k", "0.1"), ("--k changes nothing with --reward crowd",)),
     (("eval", "orca", "--stall-time", "2"), ("--stall-time changes nothing without recovery", "--recover")),
     (("il", "--discount-rate", "0.1"), ("--discount-rate changes nothing",)),
     (("il", "--run", "x", "--continue", "--overwrite"), ("--continue and --overwrite exclude each other",)),
@@ -250,7 +250,7 @@ WRONG_USE = [
     (("ascii-render", "orca", "--environment", "9"), ("there is no environment '9'",)),
     (("train",), ("train",)),
     (("rl", "--resume", "nowhere"), ("nowhere does not exist", "none yet, sfmrl il makes one")),
-    (("il", "--continue"), ("--continue needs the folder to go on with", "--run")),
+    (("il", "--continue"), ("--continue needs the folder to continue", "--run")),
     (("il", "--overwrite"), ("--overwrite needs the folder to replace", "--run")),
     (("eval", "orca", "--humans", "201"), ("--humans is 201; it must be at most 200",)),
     (("eval", "orca", "--reward", "mine.py:mine"), ("there is no file mine.py", "path")),
@@ -411,7 +411,7 @@ def test_recovery_on_the_maps_by_name_and_an_unsolvable_one_is_called_so(sfmrl: 
     assert "narrow-corridor" in done.stdout
     assert "…" not in done.stdout
     closed = sfmrl("eval", "orca", "--recover", "--environment", "map-closed", "--episodes", "2")
-    assert "unsolvable, the squares leave no way to the goal: 0, 1" in closed.stderr
+    assert "unsolvable, since the squares leave no path to the goal: episodes 0, 1" in closed.stderr
     assert "--recover" in closed.stderr
 
 
@@ -810,7 +810,7 @@ def test_resuming_where_other_bits_are_computed_is_said(in_process, monkeypatch)
     create_run("il", make_config(), Path("run"))
     monkeypatch.setattr("sfmrl.runs.bits.machine_bits", lambda: "0123456789ab")
     monkeypatch.setattr("sfmrl.runs.training.run_imitation", lambda *_: None)
-    assert "it will not end in those of an uninterrupted training" in in_process("il", "--resume", "run").stderr
+    assert "its numbers will not be those of an uninterrupted run" in in_process("il", "--resume", "run").stderr
 
 
 def test_how_a_crowdnav_file_was_trained_otherwise_is_said(in_process, tmp_path):

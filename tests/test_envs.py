@@ -269,7 +269,7 @@ def test_an_environment_takes_its_own_kind_of_action_alone(kind, bad, good):
 def test_indices_are_those_of_the_81_actions():
     world = sfmrl.reset(sfmrl.sample_scenes("circle5", 2))
     for actions in ([0, -1], [0, 81], [0.1, 0.2]):
-        with pytest.raises(ValueError, match="an action is no index; it must be a whole number from 0 to 80"):
+        with pytest.raises(ValueError, match="an action is not an index; it must be a whole number from 0 to 80"):
             robot_velocity(world, np.array(actions))
 
 

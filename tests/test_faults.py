@@ -183,8 +183,8 @@ def ctrl_c_while_saving() -> None:
 @pytest.mark.parametrize(
     ("fault", "code", "said"),
     [
-        (full_disk, 1, "sfmrl: il/checkpoint-000001.npz: File too large; then go on with: sfmrl il --resume il"),
-        (ctrl_c_while_saving, 130, "sfmrl: interrupted; go on with: sfmrl il --resume il"),
+        (full_disk, 1, "sfmrl: il/checkpoint-000001.npz: File too large; then resume with: sfmrl il --resume il"),
+        (ctrl_c_while_saving, 130, "sfmrl: interrupted; resume with: sfmrl il --resume il"),
     ],
 )
 def test_a_full_disk_and_ctrl_c_inside_a_save_are_one_line_and_lose_nothing(place, tmp_path, fault, code, said):

@@ -112,7 +112,7 @@ def test_the_table_command_stops_at_a_signal_and_says_how_to_go_on(tmp_path):
     os.kill(process.pid, signal.SIGINT)
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert said.splitlines()[-1] == "sfmrl: interrupted; go on with the same command"
+    assert said.splitlines()[-1] == "sfmrl: interrupted; to continue, type the same command again"
     assert not finished(run)
 
 

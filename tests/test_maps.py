@@ -177,12 +177,12 @@ def test_the_replays_glyphs_blanks_comments_and_indentation_draw_the_same(tmp_pa
         ("R.G1\n..11", "line 2, column 3: this is a second 1; the first is in line 1, column 4"),
         ("R.1.", "m.txt has no G; draw one, the robot's goal"),
         ("G.1.", "m.txt has no R; draw one, the robot's start"),
-        ("R..G\n...b", "m.txt, line 2, column 4: b is the goal of person 2, who is not there"),
-        ("R.G1\n#...", "m.txt, line 1, column 4: opposite 1 is a square; draw a, the person's goal"),
+        ("R..G\n...b", "m.txt, line 2, column 4: b is the goal of 2, who is missing; draw 2"),
+        ("R.G1\n#...", "m.txt, line 1, column 4: the place opposite 1 is a square; draw a, its goal"),
         ("R1.G", "m.txt, line 1, column 2: 1 touches the robot"),
-        ("R.G" + 60 * ".", "m.txt is 63 places wide and 1 high; it may be 60 of either"),
+        ("R.G" + 60 * ".", "m.txt is 63 places wide and 1 high; it may be at most 60 in each"),
         ("R.G" + 60 * "\n.", "m.txt is 3 places wide and 61 high"),
-        ("R.G" + 5 * ("\n" + 50 * "#"), "m.txt has 250 squares; it may have 200"),
+        ("R.G" + 5 * ("\n" + 50 * "#"), "m.txt has 250 squares; it may have at most 200"),
     ],
 )
 def test_a_bad_map_is_named_with_line_and_column(text, message, tmp_path):
@@ -315,7 +315,7 @@ def test_an_interrupted_training_on_a_map_goes_on_from_its_folder_alone(tmp_path
     said = []
     result = run_reinforcement(open_run(run.folder, "rl"), progress, StopSignal(), said.append)
     assert bars == [["reinforcement", 4, 4], ["test", 2, 2], ["test", 2, 2]]  # one for the whole training
-    assert [line.partition(":")[0] for line in said] == [f"validation at {episode} of 4" for episode in (0, 2, 4)]
+    assert [line.partition(":")[0] for line in said] == [f"validation at episode {e} of 4" for e in (0, 2, 4)]
     assert result["episodes"] == 2
     assert finished(run.folder)
 
@@ -335,13 +335,13 @@ def test_commands_use_maps_and_say_what_is_wrong_in_a_line(sfmrl: Callable, tmp_
     assert "map · episode 0" in shown.stdout
     closed = sfmrl("ascii-render", "linear", "--map", "closed.txt", "--frames", "1")
     assert closed.returncode == 0
-    assert closed.stderr.startswith("unsolvable, the squares leave no way to the goal")
+    assert closed.stderr.startswith("unsolvable: the squares leave no path to the goal")
     rl = sfmrl("rl", "--map", "closed.txt", "--from", "nothing")
     assert rl.stderr.splitlines()[0].startswith("closed.txt: unsolvable")
     assert "unsolvable" in sfmrl("eval", "linear", "--map", "closed.txt", "--episodes", "1").stderr
     (tmp_path / "far.txt").write_text("R" + "." * 50 + "G\n")
     far = sfmrl("eval", "linear", "--map", "far.txt", "--episodes", "2")
-    assert "the way to the goal is 31 m, more than the robot can go in --time-limit 25 (s)" in far.stderr
+    assert "the path to the goal is 31 m, more than the robot can go in --time-limit 25 (s)" in far.stderr
     for command in (["eval", "orca"], ["rl"]):
         both = sfmrl(*command, "--map", "closed.txt", "--environment", "2")
         assert both.returncode == 2

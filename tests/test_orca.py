@@ -455,7 +455,7 @@ def test_float32_input_gives_the_same_bits():
         ({"time_horizon": np.nan}, "time_horizon is nan"),
         ({"obstacle_time_horizon": [1, 2]}, "obstacle_time_horizon is"),
         ({"neighbor_distance": -1}, "neighbor_distance is -1; it must be a finite number, 0 or more"),
-        ({"agents": [0]}, "agents must be True for the agents to compute, and False for the others"),
+        ({"agents": [0]}, "agents must be an array of bool: True for the agents to compute, False for the others"),
     ],
 )
 def test_bad_input_is_named_in_one_line(change, message):

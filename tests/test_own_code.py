@@ -100,8 +100,8 @@ def was_run(own: Path) -> bool:
         ("raises_the_prize", "settings.success =", "FrozenInstanceError: .*work on a copy"),
         ("stops", 'sys.exit("enough")', "SystemExit: enough$"),
         ("errs", "return calm(transition, settings) *", "AttributeError: .*speed"),
-        ("asks", "return 1.0 if", "ValueError: The truth value .*; it is given whole arrays: choose with numpy.where"),
-        ("forgets", "def forgets", r"returned None; it must return an array of shape \(3,\), one number a transition"),
+        ("asks", "return 1.0 if", "ValueError: The truth value .*; its arguments are whole arrays: use numpy.where"),
+        ("forgets", "def forgets", r"returned None; it must return .* shape \(3,\), one number per transition"),
         ("widens", "def widens", r"returned an array of shape \(3, 5\); it must return an array of shape \(3,\)"),
         ("breaks", "def breaks", "returned NaN or infinity; it must return finite numbers"),
     ],
@@ -235,7 +235,7 @@ def test_a_policy_cannot_change_the_world(policy):
 
 
 def test_scenes_by_name_are_an_error_that_says_how_to_make_them():
-    with pytest.raises(ConfigError, match=r"scenes is 'circle5'; it takes Scenes, as sample_scenes\('circle5', 100\)"):
+    with pytest.raises(ConfigError, match=r"scenes is 'circle5'; it takes .* such as sample_scenes\('circle5', 100\)"):
         play("circle5", "orca")
 
 

@@ -263,7 +263,7 @@ def test_recovery_makes_a_network_of_a_user_s_look_farther_ahead_too(tmp_path):
 def test_what_a_file_needs_must_be_in_it_or_installed(own):
     (own.parent / "beside.py").write_text("SPEED = 0.5")
     own.write_text("from beside import SPEED\n" + OWN)
-    with pytest.raises(ConfigError, match="No module named 'beside'; a file cannot import those beside it"):
+    with pytest.raises(ConfigError, match="No module named 'beside'; a file cannot import the files beside it"):
         load_policy(f"{own}:straight")
 
 

@@ -181,7 +181,7 @@ def test_many_few_and_absent_elements():
     many = frames_of(record_of(walk(others=3 * np.stack((np.cos(angle), np.sin(angle)), -1))))
     assert all(name in many[0].plain for name in "123456789abcdefghijklmnop")
     alone = frames_of(record_of(walk(others=())), policy=Eyes())
-    assert "nobody" in alone[0].plain
+    assert "no people or squares" in alone[0].plain
     absent = frames_of(record_of(walk(others=((np.nan, np.nan), (1.0, 1.0)))), policy=Eyes(0.0, 1.0))
     assert "■1" not in absent[3].plain
     assert " 2 █" in absent[3].plain

@@ -35,7 +35,7 @@ def test_the_command_writes_files_and_plays_nothing(sfmrl, tmp_path):
     before = (tmp_path / "a.svg").read_bytes()
     refused = sfmrl(*words, "--svg", "a.svg")
     assert (refused.returncode, refused.stdout) == (2, "")
-    assert "a.svg is there already" in refused.stderr
+    assert "a.svg already exists" in refused.stderr
     assert "--overwrite" in refused.stderr
     assert (tmp_path / "a.svg").read_bytes() == before
     again = sfmrl(*words, "--frames", "2", "--svg", "a.svg", "--overwrite")

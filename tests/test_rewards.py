@@ -306,7 +306,7 @@ def test_a_setting_that_the_reward_does_not_read_is_refused():
             if differs:
                 check_read(plain, [item.name])
             else:
-                with pytest.raises(ConfigError, match=f"--{item.name.replace('_', '-')} changes nothing under"):
+                with pytest.raises(ConfigError, match=f"--{item.name.replace('_', '-')} changes nothing with"):
                     check_read(plain, [item.name])
 
 

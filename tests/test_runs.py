@@ -192,7 +192,7 @@ def test_a_damaged_checkpoint_is_named_and_the_one_before_offered(interrupted):
     folder = interrupted
     older, newest = open_run(folder).checkpoints()  # of three epochs: the first one's is gone
     flip_a_bit(newest)
-    with pytest.raises(DamagedFile, match=rf"{newest.name} is damaged.*delete it to go on from {older.name}"):
+    with pytest.raises(DamagedFile, match=rf"{newest.name} is damaged.*delete it to resume from {older.name}"):
         open_run(folder).load_checkpoint()
     newest.unlink()
     assert open_run(folder).load_checkpoint()["fit"]["epoch"] == 2
@@ -357,7 +357,7 @@ def test_an_empty_folder_is_taken_and_a_run_replaced_only_with_overwrite(tmp_pat
     assert create_run("il", Config(), empty).folder == empty
     create_run("il", Config(), run)
     (run / "weights.npz").write_bytes(b"trained")
-    with pytest.raises(ConfigError, match=r"there already.*--overwrite"):
+    with pytest.raises(ConfigError, match=r"already exists.*--overwrite"):
         create_run("il", Config(), run)
     assert (run / "weights.npz").exists()
     create_run("il", Config(), run, overwrite=True)
@@ -482,7 +482,7 @@ def test_opening_what_is_no_run_names_those_that_are(tmp_path, monkeypatch):
     (tmp_path / "empty").mkdir()
     with pytest.raises(ConfigError, match="empty is not a run folder"):
         open_run(Path("empty"))
-    with pytest.raises(ConfigError, match="is a run of sfmrl il, not of sfmrl rl"):
+    with pytest.raises(ConfigError, match="is a run of sfmrl il; name a run of sfmrl rl"):
         open_run(known, "rl")
     (known.parent / "broken").mkdir()
     (known.parent / "broken" / "run.json").write_text("{")
@@ -602,7 +602,7 @@ def test_a_training_does_not_begin_with_other_demonstrations_than_its_own(folder
     source = Path(shutil.copytree(folder, tmp_path / "il"))
     run = start_run(TINY, source, False, tmp_path / "rl")
     write_atomically(source / DEMONSTRATIONS, (source / DEMONSTRATIONS).read_bytes() + b"x")
-    with pytest.raises(DamagedFile, match="is not what this run began with any more"):
+    with pytest.raises(DamagedFile, match="has changed or gone since this run began"):
         run_reinforcement(run, no_progress, StopSignal(), lambda text: None)
 
 

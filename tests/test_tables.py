@@ -366,7 +366,7 @@ def test_trainings_that_a_figure_lacks_are_told(in_process, folder):
     done = in_process(
         "figure", "1", "--folder", str(folder), "--rows", "sarl,sarl-sfm6", "--seeds", "0-3", "--csv", "f.csv"
     )
-    assert "1 of 8 trainings are not finished, and left out" in done.stderr
+    assert "1 of 8 trainings are not finished and are left out" in done.stderr
 
 
 def test_there_is_a_line_a_validation(folder):

@@ -79,9 +79,9 @@ def test_what_sfmrl_left_agrees(handed_in):
     found = findings(handed_in / "rl")
     assert {name for name, finding in found.items() if not finding.ok} == set()
     assert {"replay", "recovery", "tables", "imitation"} <= set(found)
-    assert "to the same numbers" in found["replay"].said
+    assert "with the same numbers" in found["replay"].said
     assert wrong(handed_in / "il") == set()
-    assert "to the same numbers" in findings(handed_in / "il")["demonstrations"].said
+    assert "with the same numbers" in findings(handed_in / "il")["demonstrations"].said
 
 
 def test_fewer_episodes_leave_the_recovery_s_test_untold(handed_in):
@@ -312,7 +312,7 @@ def test_the_command_says_what_agrees_and_exits_with_1_when_something_does_not(s
     (copy / "rl" / "metrics.csv").unlink()
     done = sfmrl("verify", copy / "rl", "--episodes", 1)
     assert done.returncode == 1
-    assert "not ok SHA256SUMS      metrics.csv is listed, but not here" in done.stdout
+    assert "not ok SHA256SUMS      metrics.csv is listed but missing" in done.stdout
     assert "1 of" in done.stdout.splitlines()[-1]
 
 

@@ -44,7 +44,7 @@ def unfinished_runs() -> list[str]:
 
 
 def beginnings() -> list[str]:
-    """Return what a reinforcement can start from: finished imitation runs, and models."""
+    """Return what a reinforcement run can start from: finished imitation runs, and models."""
     from sfmrl.runs.weights import model_names
 
     return [*(folder.as_posix() for folder in run_folders("il") if finished(folder)), *model_names()]

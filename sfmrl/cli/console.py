@@ -86,7 +86,7 @@ def _metrics_table(rows: dict[str, dict[str, Any]], title: str) -> Table:
 
 
 def _table_of_many(rows: dict[str, dict[str, Any]], title: str) -> Table:
-    """Return metrics, as of the maps, whose names are longer, with a line a row and the interval of success alone."""
+    """Return metrics of many rows, such as the maps, in one line per row, with the interval of success only."""
     from sfmrl.study.sheets import plain_table
 
     heads = ("", "success", "95 %", "collision", "time-out", "nav. time", "total\nreward")
@@ -127,11 +127,11 @@ def check_new_files(overwrite: bool, **paths: Path | None) -> None:
     named: dict[Path, str] = {}
     for flag, path in ((flag, path) for flag, path in paths.items() if path):
         if regular(path).exists() and not overwrite:
-            raise ConfigError(f"{path} is there already; name another --{flag}, or replace it with --overwrite")
+            raise ConfigError(f"{path} already exists; name another --{flag}, or replace it with --overwrite")
         if not path.parent.is_dir():
-            raise ConfigError(f"there is no folder {path.parent} for --{flag} {path.name}")
+            raise ConfigError(f"there is no folder {path.parent} for --{flag}; make it, or name another --{flag}")
         if not os.access(path.parent, os.W_OK):
-            raise ConfigError(f"nothing can be written to folder {path.parent}; name another --{flag}")
+            raise ConfigError(f"cannot write to folder {path.parent}; name another --{flag}")
         if (other := named.setdefault(path.resolve(), flag)) != flag:
             raise ConfigError(f"--{other} and --{flag} name the same file; each needs its own")
 

@@ -26,7 +26,7 @@ def models(
 
     names = model_names()
     if name is not None and name not in names:
-        raise ConfigError(f"there is no model {name}; there are {', '.join(names)}{suggest(name, names)}")
+        raise ConfigError(f"there is no model {name}; choose {', '.join(names)}{suggest(name, names)}")
     cards = {each: model_card(each) for each in names}
     if as_json:
         say_json(cards[name] if name else cards)
@@ -46,13 +46,13 @@ def runs(folder: Path = typer.Argument(RUNS, help="folder of run folders (defaul
     """List the runs in a folder, the newest first, with the success of their final test.
 
     Success is measured with recovery if the run uses it, as in sfmrl eval. A run is running while a process trains it,
-    done when it has finished, otherwise stopped: resume it with --resume. It is damaged if its run.json, config.json or
-    result.json has changed since it was written.
+    done when it has finished, otherwise stopped: resume it with sfmrl il --resume or sfmrl rl --resume. It is damaged
+    if its run.json, config.json or result.json has changed since it was written.
     """
     if folder != RUNS and not folder.is_dir():
         raise ConfigError(f"there is no folder {folder}; name one that holds run folders")
     if not (found := newest_first(folder)):
-        say(f"no run in {folder}; sfmrl il makes one")
+        say(f"there is no run in {folder}; sfmrl il makes one")
         return
     table = Table("folder", "kind", "variant", "seed", "state", "success", box=None, pad_edge=False)
     for column in table.columns:

@@ -1,7 +1,7 @@
 """How commands declare their options, and which of them `--help` shows.
 
-Each parameter of a command is an option. A parameter whose type is a dataclass stands for one option a field: this is
-how commands share options. The parameter `settings` stands for the knobs of some sections of the config, whose
+Each parameter of a command is an option. A parameter whose type is a dataclass stands for one option per field: this
+is how commands share options. The parameter `settings` stands for the knobs of some sections of the config, whose
 defaults and help texts are written once, in `config.py`. Options without a section are those that most people use.
 """
 
@@ -95,10 +95,10 @@ EPISODE = number_option(0, "number of the test episode (default 0)", 0, 2**31 - 
 EPISODES = number_option(500, "number of test episodes (default 500)", 1, config.MOST_EPISODES)
 JSON = option(False, "print JSON", "--json")
 OVERWRITE = option(False, "replace existing files", "--overwrite")
-THREADS = number_option(None, "threads to use (default one a core)", 1, 1024)
+THREADS = number_option(None, "threads to use (default one per core)", 1, 1024)
 TRUST_REWARD = option(
     False,
-    "run the Python code that a run or weights file names as its reward (default only what --reward names)",
+    "run the Python code that a run or weights file names as its reward (default off)",
     "--trust-reward",
     rich_help_panel=TITLES["reward"],
 )

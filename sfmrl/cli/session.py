@@ -50,14 +50,14 @@ class TestOptions:
 
     environment: str | None = option(
         None,
-        f"1 to 5, circle, circle5, square, square5, maps, {', '.join(MIXES)} or shares, 1:0.7,2:0.3 "
+        f"1 to 5, circle, circle5, square, square5, maps, {', '.join(MIXES)} or a mix such as 1:0.7,2:0.3 "
         "(default the policy's test mix)",
         autocompletion=completion.environments,
     )
     map_file: Path | None = options.MAP
     seed: int = number_option(0, "seed of the test episodes (default 0)", 0, LARGEST_SEED)
     humans: int | None = number_option(
-        None, "number of humans, all on a circle, wider from 11 on (default the environment's own)", 0, 200
+        None, "number of humans, all on a circle, wider for over 10 (default the environment's own)", 0, 200
     )
     human_speed: float | None = number_option(
         None, "preferred speed of the humans, m/s (default 1; the robot's is 1)", 0, 10

@@ -20,9 +20,9 @@ from sfmrl.variants import make_config
 class Selection:
     """The options that select trainings of a table."""
 
-    seeds: str = option("0-9", "training seeds, 0-9 or 0,3,5-7 (default 0-9)")
-    rows: str | None = option(None, "rows, as sarl,sarl-sfm6 (default all of the paper's)")
-    preset: str = option("quick", "schedule: quick or paper (default quick)")
+    seeds: str = option("0-9", "training seeds, e.g. 0-4 or 0,3,5-7 (default 0-9)")
+    rows: str | None = option(None, "rows, e.g. sarl,sarl-sfm6 (default all of the paper's)")
+    preset: str = option("quick", "settings: quick or paper (default quick)")
     folder: Path = option(Path("runs/tables"), "where the run folders are (default runs/tables)")
     episodes: int | None = number_option(None, "training episodes of each run (default the preset's)", 1, 10_000_000)
     validation_interval: int | None = number_option(
@@ -55,7 +55,7 @@ class Selection:
             )
         wanted = len(runs) * len(self.rows_and_seeds(number)[1])
         if missing := wanted - sum(len(trained.seeds) for trained in runs.values() if trained):
-            say(f"{missing} of {wanted} trainings are not finished, and left out")
+            say(f"{missing} of {wanted} trainings are not finished and are left out")
         return {row: trained for row, trained in runs.items() if trained}
 
 
@@ -64,17 +64,17 @@ def table(
     number: int = typer.Argument(..., help="1 (environments 1 and 2) or 2 (environments 2 to 5)", min=1, max=2),
     *,
     selection: Selection,
-    jobs: int | None = number_option(None, "trainings side by side (default one a core)", 1, 1024),
+    jobs: int | None = number_option(None, "trainings side by side (default one per core)", 1, 1024),
     on: str = option("here", "where to train: here, or ray (default here)"),
     print_jobs: bool = option(False, "print the trainings as commands, and run none", "--print-jobs"),
     no_train: bool = option(False, "make the table from finished trainings, train nothing", "--no-train"),
     as_json: bool = options.JSON,
-    csv: Path | None = option(None, "write one line per figure to this file"),
+    csv: Path | None = option(None, "write every number of every seed to this file, one per line"),
     markdown: Path | None = option(None, "write the tables to this file, as Markdown"),
 ) -> None:
-    """Train and test the rows of one of the paper's tables, and show them beside the paper's figures.
+    """Train and test the rows of one of the paper's tables, and show them beside the paper's numbers.
 
-    Give the same command again to go on after a stop; finished trainings are kept.
+    To continue after a stop, type the same command again; finished trainings are kept.
     """
     from sfmrl.study.tables import finished_runs, make_jobs
 
@@ -104,9 +104,9 @@ def _train(trainings: list[Any], on: str, side_by_side: int | None) -> None:
             workers = RayWorkers() if on == "ray" else Processes(side_by_side or available_cores())
             run_jobs(trainings, workers, show_progress(err), stop, say)
         except (Interrupted, KeyboardInterrupt):
-            raise Interrupted("go on with the same command") from None
+            raise Interrupted("to continue, type the same command again") from None
         except Failed as error:
-            say(f"sfmrl: {error}; the same command tries them again")
+            say(f"sfmrl: {error}; to try them again, type the same command")
             raise typer.Exit(1) from None
 
 
@@ -136,7 +136,7 @@ def _report(
 
 @command("sfmrl figure 1 --out validation.svg")
 def figure(
-    targets: list[str] = typer.Argument(..., help="1 or 2, a table; or run folders", autocompletion=completion.runs),
+    targets: list[str] = typer.Argument(..., help="1 or 2 for a table, or run folders", autocompletion=completion.runs),
     *,
     out: Path | None = option(None, "write the figure to this file, .svg, .png or .pdf"),
     csv: Path | None = option(None, "write one line per validation to this file"),
@@ -157,7 +157,7 @@ def figure(
         raise ConfigError(f"figure takes each run once; it got {', '.join(targets)}")
     lines = table_validations(selection.finished(int(tables[0]))) if tables else run_validations(targets)
     if not (out or csv):
-        raise ConfigError("figure writes files; name one, as --out validation.svg or --csv validation.csv")
+        raise ConfigError("figure writes files; name one, such as --out validation.svg or --csv validation.csv")
     title = f"Table {tables[0]}, {selection.preset} preset" if tables else ""
     if out:
         from sfmrl.study.plots import save, validation_figure
@@ -172,14 +172,14 @@ def plot(
     policy: str | None = options.POLICY,
     *,
     out: Path = option(
-        Path("episode.svg"), "file to write: .svg, .png, .pdf, or a film, .gif, .mp4, .html (default episode.svg)"
+        Path("episode.svg"), "file to write: .svg, .png, .pdf, or for a film .gif, .mp4, .html (default episode.svg)"
     ),
     episode: int = options.EPISODE,
     test: TestOptions,
     settings: dict[str, Any],
     scenes: bool = option(False, "draw a sample of each environment, and play nothing", "--scenes"),
 ) -> None:
-    """Draw a test episode in metres, everybody's path with a disc each second, or make a film of it.
+    """Draw a test episode in metres, each path with a disc every second, or make a film of it.
 
     Needs matplotlib: pip install matplotlib.
     """

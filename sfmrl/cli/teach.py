@@ -73,12 +73,12 @@ def verify(
         100, "play at most this many test episodes, or demonstrations, again (default 100)", 1, MOST_EPISODES
     ),
     tolerance: float | None = number_option(
-        None, "share of them that may end otherwise (default 0, or 0.05 if this machine computes other bits)", 0, 1
+        None, "share of them that may end differently (default 0, or 0.05 if this machine computes other bits)", 0, 1
     ),
     trust_reward: bool = options.TRUST_REWARD,
     threads: int | None = options.THREADS,
 ) -> None:
-    """Check runs that were handed in: files against SHA256SUMS, weights by playing again.
+    """Check runs that were handed in: files against SHA256SUMS, weights by playing episodes again.
 
     Archives are unpacked into a temporary folder. Several runs get one line each; those with the same weights are
     named: copies, or the same command and seed. Exit code 0 if all that could be checked agrees, else 1, or 2 if the

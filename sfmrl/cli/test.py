@@ -57,7 +57,7 @@ def evaluate(
         say(f"{counted(len(failures), 'episode')} ({failed}{more}) failed; see one: {see}")
     failed_scenes = record.scenes.take(record.outcome != "success")
     if unsolvable := [str(failure["episode"]) for failure in failures if not failure["solvable"]]:
-        say(f"unsolvable, the squares leave no way to the goal: {', '.join(unsolvable[:LISTED])}")
+        say(f"unsolvable, since the squares leave no path to the goal: episodes {', '.join(unsolvable[:LISTED])}")
     elif failures and (reason := why_unsolvable(failed_scenes, config.simulation.time_limit)):
         say(reason)
 

@@ -16,7 +16,7 @@ from sfmrl.variants import PRESETS, VARIANTS, make_config, unusual_simulation
 
 VARIANT = option(
     None,
-    "the paper's variant: sarl, or sarl-sfm to sarl-sfm6 (default sarl)",
+    "the paper's variant: sarl, sarl-sfm, or sarl-sfm2 to sarl-sfm6 (default sarl)",
     autocompletion=completion.among(*VARIANTS),
 )
 
@@ -25,7 +25,7 @@ VARIANT = option(
 class TrainingOptions:
     """The options that both trainings have."""
 
-    config: Path | None = option(None, "take the settings of this config.json of a run; other options override them")
+    config: Path | None = option(None, "take the settings from a run's config.json; other options override them")
     run: Path | None = option(None, "run folder to make (default a new one under runs/)")
     resume: Path | None = option(
         None,
@@ -33,7 +33,7 @@ class TrainingOptions:
         autocompletion=completion.unfinished_runs,
     )
     overwrite: bool = option(False, "replace the run in --run, if it exists", "--overwrite")
-    go_on: bool = option(False, "go on with the run in --run, if it exists; do nothing if it is finished", "--continue")
+    go_on: bool = option(False, "continue the run in --run, if it exists; do nothing if it is finished", "--continue")
     trust_reward: bool = options.TRUST_REWARD
 
     def reopen(self, kind: str, *others: Any) -> Any:
@@ -42,7 +42,7 @@ class TrainingOptions:
         from sfmrl.runs.run import open_run
 
         if any((self.config, self.run, self.overwrite, self.go_on, *others)):
-            raise ConfigError(f"--resume takes every setting from {self.resume}; leave out the others")
+            raise ConfigError(f"--resume takes every setting from {self.resume}; leave out the other options")
         run = open_run(cast(Path, self.resume), kind)
         return replace(run, config=trusted(run.config, self.trust_reward))
 
@@ -50,7 +50,7 @@ class TrainingOptions:
         """Return what `create_run` should do with an existing run; raises ConfigError if that is unclear."""
         exclude({"--continue": self.go_on, "--overwrite": self.overwrite})
         if self.run is None and (self.go_on or self.overwrite):
-            flag, what = ("--continue", "go on with") if self.go_on else ("--overwrite", "replace")
+            flag, what = ("--continue", "continue") if self.go_on else ("--overwrite", "replace")
             raise ConfigError(f"{flag} needs the folder to {what}; name it with --run")
         return {"overwrite": self.overwrite, "go_on": self.go_on}
 
@@ -171,7 +171,7 @@ def _say_start(run: Any) -> None:
         say(f"from imitation run {run.imitation}")
     if weights := run.facts.get("weights"):
         prior = "with" if run.config.value_prior else "without"
-        say(f"from the network in {weights['file']}, {prior} value-prior as there")
+        say(f"from the network in {weights['file']}, {prior} --value-prior, as it was trained")
         say_differing_settings(Path(weights["file"]), run.config)
         if "trained_with" in weights:
             say(f"it was trained with {weights['trained_with']}; this training has {weights['goes_on_with']}")
@@ -196,7 +196,7 @@ def _already_finished(run: Any) -> bool:
 
 
 def _train(run: Any, work: Callable[..., Any]) -> Any:
-    """Train; raises Interrupted, which says how to go on, if a stop is requested."""
+    """Train; raises Interrupted, which says how to resume, if a stop is requested."""
     from sfmrl.own_code import code_digest
     from sfmrl.rewards import reward_terms
     from sfmrl.runs.bits import machine_bits
@@ -211,13 +211,13 @@ def _train(run: Any, work: Callable[..., Any]) -> Any:
     with sole_use(run), StopSignal(say) as stop:
         if finished(run.folder):
             next_step = f"test it with {on_run('eval', run)}, or begin another run"
-            raise ConfigError(f"{run.folder} is finished; there is nothing to go on with: {next_step}")
+            raise ConfigError(f"{run.folder} is finished; nothing is left to train: {next_step}")
         say(f"run folder {run.folder}")
         if run.facts["versions"].get("bits", machine_bits()) != machine_bits():
-            say("the run began where other bits are computed: it will not end in those of an uninterrupted training")
+            say("the run began on a machine with other bits: its numbers will not be those of an uninterrupted run")
         try:
             return work(show_progress(err), stop)
         except (Interrupted, KeyboardInterrupt):
-            raise Interrupted(f"go on with: {how}") from None
+            raise Interrupted(f"resume with: {how}") from None
         except OSError as error:  # such as a full disk
-            raise OSError(error.errno, f"{error.strerror}; then go on with: {how}", error.filename) from None
+            raise OSError(error.errno, f"{error.strerror}; then resume with: {how}", error.filename) from None

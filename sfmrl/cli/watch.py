@@ -24,9 +24,9 @@ class Look:
     frames: int | None = number_option(None, "show N stills (default 6 in a pipe, 1 in an SVG)", 1, 10_000)
     at: float | None = number_option(None, "show the still at this time, s", 0, 3600)
     speed: float = number_option(2.0, "playback speed, times real time (default 2)", 0.01, 64)
-    size: str | None = option(None, "COLUMNSxLINES (default the terminal's; in files 80x24)")
+    size: str | None = option(None, "size of a frame, COLUMNSxLINES (default the terminal's; in files 80x24)")
     ascii_only: bool = option(False, "use 7-bit characters only", "--ascii")
-    svg: Path | None = option(None, "write the last frame, or the stills one below the other, as a picture")
+    svg: Path | None = option(None, "write a picture: the last frame, or the stills one below the other")
     cast: Path | None = option(None, "write a recording that asciinema plays")
 
     def check(self, overwrite: bool) -> None:
@@ -48,7 +48,7 @@ class Look:
         match = re.fullmatch(r"(\d{1,3})x(\d{1,3})", self.size)
         columns, lines = map(int, match.groups()) if match else (0, 0)
         if columns < MINIMUM[0] or lines < MINIMUM[1]:
-            example = f"COLUMNSxLINES, as in 120x40, from {MINIMUM[0]}x{MINIMUM[1]} on"
+            example = f"COLUMNSxLINES, as in 120x40, at least {MINIMUM[0]}x{MINIMUM[1]}"
             raise ConfigError(f"--size is {self.size}; it takes {example}")
         return columns, lines
 
@@ -71,7 +71,7 @@ def ascii_render(
     settings: dict[str, Any],
     look: Look,
     scenes: bool = option(False, "draw a sample of each environment, and play nothing", "--scenes"),
-    draw: bool = option(False, "print the scene as a map for --map, to edit, and play nothing", "--draw"),
+    draw: bool = option(False, "print the scene as a map, to edit and give to --map, and play nothing", "--draw"),
 ) -> None:
     """Replay a test episode in the terminal, or write it to files."""
     look.check(test.overwrite)
@@ -112,7 +112,7 @@ def _check_two(columns: int, lines: int) -> None:
 
     if columns < SIDE_BY_SIDE_COLUMNS and lines < STACKED_LINES:
         needed = f"{SIDE_BY_SIDE_COLUMNS} columns or {STACKED_LINES} lines"
-        raise ConfigError(f"--versus needs {needed}; here are {columns} and {lines}")
+        raise ConfigError(f"--versus needs {needed}, not {columns} and {lines}; enlarge the terminal or --size")
 
 
 def _replay(

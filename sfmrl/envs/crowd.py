@@ -55,7 +55,7 @@ def robot_velocity(world: World, action: np.ndarray) -> np.ndarray:
             f"the actions have shape {action.shape}; they must have {shapes[0]}, or {shapes[1]} as indices"
         )
     if action.ndim == 1 and not (action.dtype.kind in "iu" and ((action >= 0) & (action < len(ACTIONS))).all()):
-        raise ValueError(f"an action is no index; it must be a whole number from 0 to {len(ACTIONS) - 1}")
+        raise ValueError(f"an action is not an index; it must be a whole number from 0 to {len(ACTIONS) - 1}")
     share = ACTIONS[action] if action.ndim == 1 else limit(action.astype(float), 1.0)
     if not np.isfinite(share).all():
         raise ValueError("an action is NaN or infinite; it must be two finite numbers")

@@ -33,7 +33,7 @@ class Layers(dict[str, np.ndarray]):
         return x.reshape(self.shape[0], self.state_rows, -1)[:, : self.shape[1]]
 
     def padded(self, name: str, columns: int, rows: int | None = None, used: int | None = None) -> np.ndarray:
-        """An array of `rows` (default `state_rows`) an episode, zeros after the `used` ones (default A)."""
+        """An array of `rows` (default `state_rows`) per episode, zeros after the `used` ones (default A)."""
         rows, used = rows or self.state_rows, used or self.shape[1]
         self[name] = array(name, self.shape[0] * rows, columns)
         self[name].reshape(-1, rows, columns)[:, used:] = 0

@@ -22,11 +22,11 @@ from sfmrl.states import OWN
 # Of `value_prior`: the fall-off per metre, the distance at which the goal counts as reached (m), and the value there.
 PER_METRE, AT_GOAL, PRIOR = np.float32(0.9), np.float32(0.3), np.float32(0.8)
 
-BY_ELEMENT = ("rows", "mlp1.0", "mlp1.2", "mlp2.0", "attention.0", "attention.2")  # layers with a row an element
-BY_STATE = ("mean", "pooled", "joint", "mlp3.0", "mlp3.2", "mlp3.4")  # layers with a row a state
+BY_ELEMENT = ("rows", "mlp1.0", "mlp1.2", "mlp2.0", "attention.0", "attention.2")  # layers with a row per element
+BY_STATE = ("mean", "pooled", "joint", "mlp3.0", "mlp3.2", "mlp3.4")  # layers with a row per state
 
 SMALL = 1_000_000  # rows x columns x depth of the largest product that AVX-512 kernels leave to another kernel
-LEAST, TINY = np.float32(-1e30), np.float32(1e-30)  # a score below all, and a number that makes 0 of 0 / 0
+LEAST, TINY = np.float32(-1e30), np.float32(1e-30)  # a score below all, and a divisor that makes 0 / 0 a 0
 
 DIVERGED = np.errstate(over="ignore", invalid="ignore")  # callers check that values and losses are finite
 
@@ -87,7 +87,7 @@ class FastNetwork:
         episodes, actions, elements, _ = grouped.shape
         if not episodes * actions:
             return np.zeros(states.shape[:-2], np.float32), np.zeros(states.shape[:-1], np.float32)
-        least = SMALL // (episodes * self._smallest) + 1  # rows an episode
+        least = SMALL // (episodes * self._smallest) + 1  # rows per episode
         layers = self._forward(grouped, max(actions * elements, least), max(actions, least))
         return layers["value"].reshape(states.shape[:-2]), layers["share"].reshape(states.shape[:-1])
 

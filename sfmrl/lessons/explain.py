@@ -41,7 +41,7 @@ MARKS = {
 
 @dataclass(frozen=True)
 class Explanation:
-    """One episode: a row of plain values a step, and what its own reward and the paper's pay in all, term by term."""
+    """One episode: a row of plain values per step, and what its own reward and the paper's pay in all, term by term."""
 
     name: str  # environment and episode, in words
     steps: list[dict[str, Any]]

@@ -82,4 +82,4 @@ def _unpack(path: Path, folder: Path) -> None:
 
 def _check_size(path: Path, size: int) -> None:
     if size > LARGEST:
-        raise ConfigError(f"{path} would unpack to {size / 2**30:.1f} GiB; a run takes some megabytes")
+        raise ConfigError(f"{path} would unpack to {size / 2**30:.1f} GiB; pack the run folder alone, a few megabytes")

@@ -29,10 +29,10 @@ class Disagreement(Exception):
 
 @dataclass(frozen=True)
 class Rerun:
-    """Plays at most `episodes` of a run's episodes again, of which a share of `tolerance` may end otherwise.
+    """Plays at most `episodes` of a run's episodes again, of which a share of `tolerance` may end differently.
 
     `alike` says whether this machine computes the bits of the run. If so, an episode with another number of steps
-    counts as ending otherwise; if not, times are held to `TIME_TOLERANCE`. The methods return a sentence on what
+    counts as ending differently; if not, times are held to `TIME_TOLERANCE`. The methods return a sentence on what
     agrees, or raise Disagreement.
     """
 
@@ -94,9 +94,9 @@ class Rerun:
                 raise Disagreement(f"half of the episodes take a time that differs by more than {TIME_TOLERANCE:.0%}")
         count, bad = len(differ), np.flatnonzero(differ)
         if not len(bad):
-            return f"{count} {what} end as they did" + (", to the same numbers" if exact else "")
+            return f"{count} {what} end as they did" + (", with the same numbers" if exact else "")
         listed = ", ".join(map(str, bad[:8])) + (", ..." if len(bad) > 8 else "")
-        said = f"{len(bad)} of the first {count} {what} end otherwise ({listed}); {self.tolerance:.0%} of them may"
+        said = f"{len(bad)} of the first {count} {what} end differently ({listed}); allowed: {self.tolerance:.0%}"
         if len(bad) > math.ceil(round(self.tolerance * count, 6)):
             raise Disagreement(said)
         return said

@@ -31,7 +31,7 @@ def explanation_parts(
     if "turn" in steps[0]:
         notes.append("turn: to the left, before the robot drives")
     if "value" in steps[0]:
-        notes.append("value: of the action taken; next: of the best of the other 80")
+        notes.append("value: of the action taken; other: of the best of the other 80")
     return [
         f"{title}, {explanation.name}: {steps[-1]['event'].split('; ')[0]} after {steps[-1]['time']:.2f} s",
         _steps_table(explanation, shown, columns),
@@ -42,12 +42,12 @@ def explanation_parts(
 
 
 def _steps_table(explanation: Explanation, shown: list[dict[str, Any]], columns: int) -> Table:
-    """Return a line a step; terms that the whole episode never pays are left out."""
+    """Return a line per step; terms that the whole episode never pays are left out."""
     valued, turning = "value" in shown[0], "turn" in shown[0]
     terms = [term for term, paid in explanation.plain.items() if paid and len(explanation.plain) > 1]
     width = 21 + 6 * turning + 14 * valued + (DIGITS + 4) * (1 + len(terms))
     digits = DIGITS if width <= columns else FEWER_DIGITS
-    heads = ["step", "time", *("turn",) * turning, "gap", "push", *("value", "next") * valued]
+    heads = ["step", "time", *("turn",) * turning, "gap", "push", *("value", "other") * valued]
     heads += [HEADS.get(name, name) for name in terms]
     table = plain_table(*heads, "reward", first="right")
     for row in shown:

@@ -22,7 +22,7 @@ from sfmrl.runs.run import Run, open_run
 from sfmrl.runs.weights import load_weights
 from sfmrl.scenes import DRAWN
 
-TOLERANCE = 0.05  # share of episodes that may end otherwise where this machine does not compute the bits of the run
+TOLERANCE = 0.05  # share of episodes that may end differently where this machine does not compute the bits of the run
 MALFORMED = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError)  # errors on unexpected content
 
 
@@ -37,8 +37,8 @@ def verify(
 ) -> Iterator[Finding]:
     """Yield findings on a run folder; at most `episodes` test episodes, or demonstrations, are played again.
 
-    `tolerance` is the share of them that may end otherwise: by default none, or `TOLERANCE` where this machine does not
-    compute the bits of the run. A reward that is Python code is run only with `trust_reward`, and if it is the file
+    `tolerance` is the share of them that may end differently: by default none, or `TOLERANCE` where this machine does
+    not compute the bits of the run. A reward that is Python code is run only with `trust_reward`, and if it is the file
     that the run was trained with. Raises ConfigError where there is no run folder.
     """
     require_run(folder)
@@ -46,7 +46,7 @@ def verify(
     try:
         run = open_run(folder)
     except (ConfigError, DamagedFile, *MALFORMED, OSError) as error:
-        yield Finding("run.json", False, f"nothing more can be told of this run: {error}")
+        yield Finding("run.json", False, f"the run cannot be opened, so no more is checked: {error}")
         return
     yield _finding("training", _finished, run)
     yield _finding("tables", _tables, run)
@@ -81,7 +81,7 @@ def _reinforcement(run: Run, rerun: Rerun) -> Iterator[Finding]:
     if run.config.planner.recover and rerun.episodes >= whole:
         yield _finding("recovery", rerun.recovery, run)
     elif run.config.planner.recover:
-        yield Finding("recovery", None, f"its test was not played again; --episodes {whole} does that, too")
+        yield Finding("recovery", None, f"its test was not played again; add --episodes {whole} for that")
 
 
 def _finding(what: str, check: Callable[..., str | Finding], *given: Any) -> Finding:
@@ -106,7 +106,7 @@ def _sums(folder: Path) -> str:
         path = folder / name
         if Path(name).name != name or not path.is_file():
             if not CHECKPOINT.fullmatch(name):  # a training may have been killed while it removed its checkpoints
-                bad.append(f"{name} is listed, but not here")
+                bad.append(f"{name} is listed but missing")
         elif digest_of(path) != digest:
             bad.append(f"{name} is not what was written")
     must = ("config.json", "run.json", WEIGHTS, BEST, DEMONSTRATIONS)
@@ -121,7 +121,7 @@ def _sums(folder: Path) -> str:
 def _finished(run: Run) -> str:
     if not finished(run.folder):
         raise Disagreement(unfinished(run.folder))
-    return f"sfmrl {run.kind}, variant {run.facts['variant']}, begun {run.facts['created'][:16]}, has ended"
+    return f"sfmrl {run.kind}, variant {run.facts['variant']}, begun {run.facts['created'][:16]}, is finished"
 
 
 def _tables(run: Run) -> str:
@@ -138,7 +138,7 @@ def _tables(run: Run) -> str:
 def _weights(run: Run) -> str:
     network, config = load_weights(run.folder / WEIGHTS)  # which holds only finite numbers
     if config != run.config:
-        raise Disagreement("the config in it is not config.json")
+        raise Disagreement("the config in it differs from config.json")
     return f"{len(network.flat):,} parameters, all finite, trained under config.json"
 
 
@@ -155,9 +155,10 @@ def _own_reward(run: Run, trust: bool) -> str | Finding:
     if digest != code_digest(name):
         raise Disagreement(f"{name} is not the file that the run was trained with; put that one there")
     if not trust:
-        unchecked = "that the network does what test.csv and result.json say" if run.kind == "rl" else "nothing here"
-        said = f"{name} was not run, which leaves unchecked {unchecked}; read that code, then add --trust-reward"
-        return Finding("reward", None, said)
+        said = f"{name} was not run"
+        if run.kind == "rl":
+            said += ", which leaves unchecked that the network does what test.csv and result.json say"
+        return Finding("reward", None, f"{said}; read that code, then add --trust-reward")
     return f"{name} is what the run was trained with" if digest else f"{name} is in no file, and was not compared"
 
 
@@ -167,26 +168,26 @@ def _versions(run: Run) -> str | Finding:
     if run.kind == "rl" and "bits" in (result := result_of(run)):  # of the machine on which the training ended
         made = made | {"bits": result["bits"]}
     if kernels() == "unknown":
-        return Finding("versions", None, "NumPy does not use OpenBLAS here: some episodes may end otherwise")
+        return Finding("versions", None, "NumPy does not use OpenBLAS here: some episodes may end differently")
     if all(made.get(name) == here[name] for name in ("sfmrl", "bits")):
-        return f"sfmrl {here['sfmrl']} and bits {here['bits']}, as the run: episodes must end as they did"
+        return f"sfmrl {here['sfmrl']} and bits {here['bits']}, the run's own: episodes must end as they did"
     differ = [name for name in ("sfmrl", "bits", "numpy", "processor") if made.get(name) != here[name]]
     said = "; ".join(f"{name} {made.get(name, 'unknown')}, here {here[name]}" for name in differ)
-    return Finding("versions", None, f"{said}: some episodes may end otherwise here")
+    return Finding("versions", None, f"{said}: some episodes may end differently here")
 
 
 def _began(run: Run) -> str | Finding:
     """The training began with the demonstrations of the imitation run that it names."""
     source = run.imitation
     if weights := run.facts.get("weights"):
-        return f"none: it went on from {Path(weights['file']).name}, SHA-256 {weights['sha256']}"
+        return f"none: it started from {Path(weights['file']).name}, SHA-256 {weights['sha256']}"
     if source is None:
         return "none: trained from scratch"
     if not (source / SUMS).exists():
-        return Finding("imitation", None, f"{source.name}, from which this run went on, is not beside it")
+        return Finding("imitation", None, f"{source.name}, from which this run started, is not beside it")
     if read_sums(source).get(DEMONSTRATIONS) != run.facts["demonstrations"]:
-        raise Disagreement(f"it went on from other demonstrations than {source.name} holds")
-    return f"it went on from the demonstrations of {source.name}"
+        raise Disagreement(f"it started from other demonstrations than {source.name} holds")
+    return f"it started from the demonstrations of {source.name}"
 
 
 def _rates(run: Run) -> str:

@@ -24,17 +24,17 @@ def load_map(path: str | Path) -> str:
     """
     path = Path(path)
     if not path.exists():
-        raise ConfigError(f"there is no map {path}; sfmrl ascii-render --draw prints one to begin with")
+        raise ConfigError(f"there is no map {path}; sfmrl ascii-render --draw prints one to start from")
     if not path.is_file():
         raise ConfigError(f"{path} is a folder, a pipe or a device; name a text file with a map")
     if path.stat().st_size > LARGEST:
-        raise ConfigError(f"{path} is larger than any map, {LARGEST} bytes")
+        raise ConfigError(f"{path} is larger than a map can be, {LARGEST} bytes; name a text file with a map")
     try:
         data = path.read_bytes()
         encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"  # > in Windows PowerShell
         drawing = parse(data.decode(encoding), str(path))
     except UnicodeDecodeError:
-        raise ConfigError(f"{path} is not text in UTF-8 or UTF-16, as a map is") from None
+        raise ConfigError(f"{path} is not text in UTF-8 or UTF-16; save the map as UTF-8") from None
     return DRAWN + "/".join(_lines(_scenes(drawing)))
 
 
@@ -53,9 +53,9 @@ def why_unsolvable(scenes: Scenes, time_limit: float) -> str | None:
     """Why squares or distance let no policy reach the first episode's goal in `time_limit` s; None if they do not."""
     way = float(shortest_path(scenes.take([0]))[0])
     if np.isinf(way):
-        return "unsolvable, the squares leave no way to the goal (a passage must be two characters wide)"
+        return "unsolvable: the squares leave no path to the goal (a passage must be at least two characters wide)"
     if way > time_limit * scenes.v_pref[0, 0]:
-        return f"the way to the goal is {way:.0f} m, more than the robot can go in --time-limit {time_limit:g} (s)"
+        return f"the path to the goal is {way:.0f} m, more than the robot can go in --time-limit {time_limit:g} (s)"
     return None
 
 
@@ -85,6 +85,6 @@ def _lines(scenes: Scenes, episode: int = 0) -> list[str]:
             continue  # the opposite place is the default
         at = int((rows - 1) / 2 - place[1]), int(place[0] + (columns - 1) / 2)
         if drawn[at] != ".":
-            raise ConfigError(f"a map has one character a place, and {drawn[at]} and {character} share one here")
+            raise ConfigError(f"a map has one character per place, but {drawn[at]} and {character} share one here")
         drawn[at] = character
     return ["".join(line) for line in drawn]

@@ -62,7 +62,7 @@ def parse(text: str, name: str = "map", whole: bool = True) -> Drawing:
     lines, indent = _drawn_lines(text, name)
     rows, columns = len(lines), max(len(line) for _, line in lines) - indent
     if max(rows, columns) > MOST_PLACES:
-        raise ConfigError(f"{name} is {columns} places wide and {rows} high; it may be {MOST_PLACES} of either")
+        raise ConfigError(f"{name} is {columns} places wide and {rows} high; it may be at most {MOST_PLACES} in each")
 
     squares: list[np.ndarray] = []  # centres
     marks: dict[str, np.ndarray] = {}  # places of all else by character
@@ -84,7 +84,7 @@ def parse(text: str, name: str = "map", whole: bool = True) -> Drawing:
             elif character != ".":
                 raise ConfigError(f"{name}, {at}: {character!r} means nothing on a map; {_KNOWN}")
     if len(squares) > MOST_SQUARES:
-        raise ConfigError(f"{name} has {len(squares)} squares; it may have {MOST_SQUARES}, for the robot weighs each")
+        raise ConfigError(f"{name} has {len(squares)} squares; it may have at most {MOST_SQUARES}")
     for character, what in (("R", "the robot's start"), ("G", "the robot's goal")):
         if whole and character not in marks:
             raise ConfigError(f"{name} has no {character}; draw one, {what}")
@@ -113,11 +113,11 @@ def _drawing(squares: np.ndarray, marks: dict[str, np.ndarray], where: dict[str,
             start.append(marks[person])
             goal.append(marks.get(letter, -marks[person]))
             if _apart(goal[-1], squares).min(initial=CELL) < CELL / 2:
-                raise ConfigError(f"{where[person]}: opposite {person} is a square; draw {letter}, the person's goal")
+                raise ConfigError(f"{where[person]}: the place opposite {person} is a square; draw {letter}, its goal")
             if _apart(start[0], start[-1]) < 1.1 * CELL:
                 raise ConfigError(f"{where[person]}: {person} touches the robot; leave a place between them")
         elif letter in marks:
-            raise ConfigError(f"{where[letter]}: {letter} is the goal of person {person}, who is not there")
+            raise ConfigError(f"{where[letter]}: {letter} is the goal of {person}, who is missing; draw {person}")
     beside = squares[_apart(start[0], squares) < 1.1 * CELL]
     start[0] = start[0] + OFF / CELL * (start[0] - beside).sum(0)
     starts, goals = np.array(start), np.array(goal)

@@ -57,8 +57,8 @@ def orca_velocities(
     looks for the velocity nearest to the preferred one, also where that is faster than max_speed. `agents` broadcasts
     to (E, N) and is True for those to compute, all by default; the others get NaN but are avoided. time_step and
     horizons are in s, neighbor_distance in m. Raises ValueError for wrong shapes and polygons, and for numbers that are
-    not finite or out of range. A scene may lie anywhere, but its agents within a few kilometres: they are computed in
-    float32 relative to an origin near most of them.
+    not finite or out of range. A scene may lie anywhere, but its agents must be within a few kilometres of each other:
+    they are computed in float32 relative to an origin near most of them.
     """
     position = numbers("position", position)
     if position.ndim != 3 or position.shape[2] != 2:
@@ -69,7 +69,7 @@ def orca_velocities(
     if not isinstance(max_neighbors, Integral) or max_neighbors < 0:
         raise ValueError(f"max_neighbors is {max_neighbors!r}; it must be a whole number, 0 or more")
     if agents is not None and np.asarray(agents).dtype != bool:
-        raise ValueError("agents must be True for the agents to compute, and False for the others")
+        raise ValueError("agents must be an array of bool: True for the agents to compute, False for the others")
     edges = _edges(polygons, position)
     planes, present = _planes(position, velocity, radius, max_speed, preferred_velocity, edges.origin)
     wanted = present if agents is None else present & (broadcast("agents", agents, position.shape[:2]) != 0).T

@@ -101,7 +101,7 @@ def plan(scenes: Scenes, planner: Planner = Planner(), reach: np.ndarray | None 
     columns, rows = size.max(axis=0, initial=0)
     if max(columns, rows) > MOST_ACROSS or len(scenes) * rows * columns > MOST_CELLS:
         raise ConfigError(
-            f"ways around squares take {counted(len(scenes), 'grid')} of {columns:.0f} x {rows:.0f} cells, too many; "
+            f"paths around squares need {counted(len(scenes), 'grid')} of {columns:.0f} x {rows:.0f} cells, too many; "
             "choose nearer goals, a shorter time limit, a coarser resolution, fewer episodes, or play without recovery"
         )
     size = size.astype(int)

@@ -124,6 +124,6 @@ def straight_way_is_free(world: World, inflation: float) -> np.ndarray:
 
 
 def with_recovery(policy: Policy, planner: Planner) -> Policy:
-    """The policy with recovery if `planner.recover`, else without; recovery that it has already is taken off first."""
+    """The policy with recovery if `planner.recover`, else without; recovery that it already has is removed first."""
     own = policy.original if isinstance(policy, RecoveringPolicy) else policy
     return RecoveringPolicy(own, planner) if planner.recover else own

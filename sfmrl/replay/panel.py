@@ -108,7 +108,7 @@ def _elements(story: Story, t: int, rows: int, columns: int) -> list[Text]:
     """A heading and at most `rows` elements in the order of `_order`."""
     order, attention = _order(story, t), story.attention
     if not len(order):
-        return [Text("nobody else is here", Style.DIM)]
+        return [Text("no people or squares", Style.DIM)]
     if rows <= 0:
         return []
     with_repulsions = _table_has_repulsions(story, columns)

@@ -11,7 +11,7 @@ from sfmrl.episodes import Record
 from sfmrl.evaluation import RATES, metrics
 from sfmrl.scenes import Scenes
 
-SCALE = 36  # pixels a metre
+SCALE = 36  # pixels per metre
 MARGIN = 0.6  # m around what is drawn
 HOLD = 1.0  # s for which an episode rests at its end before it starts again
 ROBOT, PERSON, SQUARE, GOAL = "#2a6fdb", "#f2b177", "#8c8c8c", "#d62728"

@@ -1,6 +1,6 @@
 """Versions, and the bits that this machine computes: a run's numbers depend on both, and on its config.
 
-Processors and libraries add numbers in different orders, so the same training can end in other last digits on another
+Processors and libraries add numbers in different orders, so the same training can end with other last digits on another
 machine, even with the same versions. `machine_bits`, a digest of small computations, shows whether it does: compare it
 before you compare numbers to the last digit. It uses no code of the simulator or the network, so it does not change
 when they do.

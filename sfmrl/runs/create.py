@@ -129,15 +129,15 @@ def _check_replaceable(folder: Path, overwrite: bool) -> None:
         if folder.is_dir() and _counts_as_empty(folder):
             return
         spared = ", so --overwrite leaves it alone" if overwrite else ""
-        raise ConfigError(f"{folder} is there already, and is not a run folder{spared}; name another --run")
+        raise ConfigError(f"{folder} already exists, and is not a run folder{spared}; name another --run")
     if overwrite:
         return
     if in_training(folder):
         raise ConfigError(f"{folder} is being trained by another process; name another --run")
     ways = ["name another --run", "replace it with --overwrite"]
     if not finished(folder):
-        ways.append(f"go on with it by --resume {as_words(folder)}")
-    raise ConfigError(f"{folder} is there already; {', or '.join(ways)}")
+        ways.append(f"resume it with --resume {as_words(folder)}")
+    raise ConfigError(f"{folder} already exists; {', or '.join(ways)}")
 
 
 def _counts_as_empty(folder: Path) -> bool:
@@ -222,7 +222,7 @@ def _start_from_weights(config: Config, source: Path) -> tuple[Config, dict[str,
     if network.forces != config.forces:
         columns, here = (len(column_names(forces)) for forces in (network.forces, config.forces))
         remedy = "--forces" if network.forces else "--no-forces, and a variant without"
-        raise ConfigError(f"{source} reads {columns} columns, this training {here}; choose {remedy}")
+        raise ConfigError(f"{source} reads {columns} columns, but this training has {here}; choose {remedy}")
     config = replace(config, value_prior=network.value_prior)
     facts = {"file": str(source.resolve()), "sha256": digest_of(source)}
     theirs, ours = ({"reward": c.reward.reward} | asdict(c.simulation) for c in (trained, config))
@@ -246,6 +246,6 @@ def _newest_fitting(config: Config) -> Path:
             return folder
     flags = as_typed(as_options({"preset": config.preset, "seed": config.seed} | unusual_simulation(config)))
     raise ConfigError(
-        f"no finished imitation run fits ({flags}): type sfmrl il {flags}, name a run with --from, or do without with "
-        "--from-scratch"
+        f"no finished imitation run fits ({flags}): type sfmrl il {flags}, name a run with --from, or start without "
+        "imitation with --from-scratch"
     )

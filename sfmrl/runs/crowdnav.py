@@ -51,7 +51,7 @@ def read_foreign(data: bytes, path: Path) -> Any:
     except Exception as error:  # damaged or foreign bytes can raise anything in torch
         reason = "is not a weights file that can be read safely; name a run folder, or its weights.npz"
         if "Unsupported global" in str(error) or "Unsupported class" in str(error):
-            reason = "holds Python objects, which could run code; save no more than its state_dict()"
+            reason = "holds Python objects, which could run code; save only its state_dict()"
         raise ConfigError(f"{path} {reason}") from error
 
 

@@ -107,7 +107,7 @@ def read_checked(path: Path) -> bytes:
         sums = path.with_name(SUMS)
         raise DamagedFile(f"{path} has no SHA-256 in {sums}, so it cannot be trusted; put back the whole folder")
     if not path.exists():
-        raise DamagedFile(f"{path} is not there any more; put it back")
+        raise DamagedFile(f"{path} is missing; put it back")
     return read_listed(path)
 
 
@@ -195,5 +195,5 @@ def read_table(path: Path) -> list[dict[str, str]]:
     except csv.Error as error:
         raise ValueError(str(error)) from None
     if any(None in row or None in row.values() for row in rows):
-        raise ValueError("a row has not a field for each heading")
+        raise ValueError("a row does not have a field for each heading")
     return rows

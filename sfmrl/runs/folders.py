@@ -47,7 +47,7 @@ def newest_run(say: Callable[[str], None]) -> Path:
             continue
         if kind_of(folder):
             return folder
-    raise ConfigError("there is no finished run under runs/ yet: type sfmrl il, or name a policy, as sarl-sfm6 or orca")
+    raise ConfigError("there is no finished run under runs/ yet: type sfmrl il, or name a policy such as orca")
 
 
 def newest_first(place: Path = RUNS) -> list[Path]:
@@ -78,8 +78,8 @@ def finished(folder: Path) -> bool:
 def unfinished(folder: Path) -> str:
     """An error message about an unfinished run: how to continue it, or that it is being trained now."""
     if in_training(folder):
-        return f"{folder} is being trained now; wait until it has ended"
-    return f"{folder} has not ended; go on with it: sfmrl {kind_of(folder) or 'rl'} --resume {as_words(folder)}"
+        return f"{folder} is being trained now; wait until it is finished"
+    return f"{folder} is not finished; resume it: sfmrl {kind_of(folder) or 'rl'} --resume {as_words(folder)}"
 
 
 def as_words(folder: Path) -> str:

@@ -19,7 +19,7 @@ SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if 
 
 
 class Interrupted(Exception):
-    """A training has stopped on request, and can go on from its last checkpoint; the text says how."""
+    """A training has stopped on request, and can be resumed from its last checkpoint; the text says how."""
 
 
 @contextmanager

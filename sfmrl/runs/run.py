@@ -70,7 +70,7 @@ class Run:
         try:
             data = read_checked(saved[-1])
         except DamagedFile as error:
-            before = f"to go on from {saved[-2].name}" if len(saved) > 1 else "to start this run over"
+            before = f"to resume from {saved[-2].name}" if len(saved) > 1 else "to start this run over"
             raise DamagedFile(f"{error}, or delete it {before}") from None
         with self.restoring(), np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             state = json.loads(str(arrays["json"]), object_hook=lambda d: arrays[d["array"]] if "array" in d else d)
@@ -103,10 +103,10 @@ def open_run(folder: Path, kind: str | None = None) -> Run:
     facts = _read_facts(folder / "run.json")
     version = str(facts["versions"].get("sfmrl"))
     if version.startswith(OLDER):
-        raise ConfigError(f"{folder} was made by sfmrl {version}; install that version to play it or go on with it")
+        raise ConfigError(f"{folder} was made by sfmrl {version}; install that version to play or resume it")
     config = Config.from_json(read_checked(folder / "config.json"), folder / "config.json")
     if kind and facts["kind"] != kind:
-        raise ConfigError(f"{folder} is a run of sfmrl {facts['kind']}, not of sfmrl {kind}; name one of those")
+        raise ConfigError(f"{folder} is a run of sfmrl {facts['kind']}; name a run of sfmrl {kind}")
     return Run(folder, facts["kind"], config, facts)
 
 

@@ -105,19 +105,19 @@ def start_learner(run: Run, progress: Progress, stop: StopSignal, say: Say) -> L
     if weights := run.facts.get("weights"):
         path = Path(weights["file"])
         if not path.is_file() or digest_of(path) != weights["sha256"]:
-            raise DamagedFile(f"{path} is not what this run began with any more; put it back, or start a new run")
+            raise DamagedFile(f"{path} has changed or gone since this run began; put it back, or start a new run")
         network, _ = load_weights(path)
     elif run.imitation is None:
         network = new_network(config, config.seed)
     else:
         path = run.imitation / DEMONSTRATIONS
         if not path.exists() or read_sums(run.imitation).get(DEMONSTRATIONS) != run.facts["demonstrations"]:
-            raise DamagedFile(f"{path} is not what this run began with any more; put it back, or start a new run")
+            raise DamagedFile(f"{path} has changed or gone since this run began; put it back, or start a new run")
         fill_memory(memory, load_demonstrations(path, config.simulation), config)
         network, trained = load_weights(run.imitation / WEIGHTS)
         if needs_fit(trained, config):
             state = f"reward {config.reward.reward} and {len(column_names(config.forces))} state columns"
-            other = f"{run.imitation} was trained with another reward or state"
+            other = f"{run.imitation} was trained with another reward, discount, state or value prior"
             say(f"{other}: learning from its demonstrations again, with {state}")
             network = fit(run, memory, saved, progress, stop)
     return Learner(network, memory, config)
@@ -169,7 +169,7 @@ def validate(run: Run, learner: Learner, stop: StopSignal, say: Say, threads: in
     learner.validations.append(row)
     append_rows(run.folder / "validation.csv", [row])
     shown = ", ".join(f"{name} {rates[name]:.3f}" for name in ("success", "collision", "timeout"))
-    say(f"validation at {learner.episode} of {settings.episodes}: {shown}")
+    say(f"validation at episode {learner.episode} of {settings.episodes}: {shown}")
 
 
 def test(run: Run, learner: Learner, progress: Progress, threads: int) -> dict[str, Any]:

@@ -36,7 +36,8 @@ def save_weights(network: FastNetwork, config: Config, path: Path) -> str:
     """
     for name in ("forces", "value_prior"):
         if getattr(network, name) != getattr(config, name):
-            raise ConfigError(f"the config has {name} {getattr(config, name)}, the network {getattr(network, name)}")
+            differ = f"the config has {name} {getattr(config, name)}, the network {getattr(network, name)}"
+            raise ConfigError(f"{differ}; give the config that the network was trained with")
     return write_atomically(Path(path), weights_file(network, config))
 
 

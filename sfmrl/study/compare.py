@@ -28,7 +28,7 @@ def compare(records: Sequence[Record], policies: Sequence[Policy], names: Sequen
     """
     first, *others = records
     if not all(np.array_equal(record.scenes.start, first.scenes.start, equal_nan=True) for record in others):
-        raise ConfigError("policies can only be compared on the same episodes")
+        raise ConfigError("policies can only be compared on the same episodes; let all of them play the same scenes")
     rows, social = [], [social_values(record) for record in records]
     for record, policy, name, values in zip(records, policies, names, social, strict=True):
         measured = metrics(record, policy)
@@ -58,7 +58,7 @@ def _difference(record: Record, first: Record) -> dict[str, Any]:
 
 
 def _mean_gap(gaps: np.ndarray) -> dict[str, Any] | None:
-    """Return the figure of differences `gaps` (E,), one an episode and NaN where there is none; None without any."""
+    """Return the figure of differences `gaps` (E,), one per episode and NaN where there is none; None without any."""
     known = gaps[~np.isnan(gaps)]
     return mean_difference(known, EXACT_BELOW) if len(known) else None
 
@@ -102,7 +102,7 @@ def comparison_sheets(comparison: dict[str, Any], title: str) -> list[Sheet]:
 
 
 def social_sheet(comparison: dict[str, Any]) -> Sheet:
-    """Return the social metrics of `compare`: a line a metric, the first policy's value and the others' differences."""
+    """Return the social metrics of `compare`, a line each: the first policy's value and the others' differences."""
     first, *others = comparison["policies"]
 
     def line(metric: str) -> dict[str, str]:

@@ -1,6 +1,6 @@
 """Run many trainings, each a command that can be repeated: as processes on this machine, or on a Ray cluster.
 
-A finished training is never repeated, and a killed one goes on from its checkpoint. On this machine, each writes its
+A finished training is never repeated, and a killed one resumes from its checkpoint. On this machine, each writes its
 messages to a file of its own under logs/ beside its run folder. On a cluster (the extra "ray"), run folders are sent to
 the worker and back: a worker needs sfmrl, but no common file system. If a worker is lost, its training is repeated on
 another, to the same bits if that machine computes the same (`sfmrl doctor` shows a digest).
@@ -140,7 +140,7 @@ def _log(job: Job) -> Path:
 
 def _last_line(text: str) -> str:
     lines = text.strip().splitlines()
-    return lines[-1].strip() if lines else "it said nothing"
+    return lines[-1].strip() if lines else "it printed nothing"
 
 
 class RayWorkers:

@@ -26,7 +26,7 @@ ROBOT, PERSON, SQUARE, GOAL = "tab:blue", "tab:orange", "0.6", "tab:red"
 
 
 def validation_figure(lines: list[dict[str, Any]], title: str) -> Figure:
-    """Success in validation over the training: a curve a row, its 95 % interval as a band, from `study.validations`."""
+    """Success in validation over the training: a curve per row, a band for its 95 % interval (`study.validations`)."""
     figure = Figure(figsize=(7.0, 4.2), layout="constrained")
     axes, curves = figure.add_subplot(), {}
     for name in dict.fromkeys(line["row"] for line in lines):

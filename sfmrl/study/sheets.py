@@ -110,7 +110,7 @@ def _rates(row: dict[str, Any]) -> dict[str, str]:
         "row": row["row"],
         "paper": "/".join(rate(value).removesuffix("0") for value in row["paper"]["success"]),
         "success": rate_interval(*(figures["success"][end] for end in ("mean", "low", "high"))),
-        "people +\nsquares": f"{rate(mean['human_collision'])}+{rate(mean['square_collision'])}",
+        "hit:\npeople +\nsquares": f"{rate(mean['human_collision'])}+{rate(mean['square_collision'])}",
         "time-out": rate(mean["timeout"]),
         "nav.\ntime": seconds(mean["navigation_time"]),
         "total\nreward": number(mean["total_reward"]),

@@ -16,7 +16,7 @@ ZONES = {"intimate": 0.45, "personal": 1.2, "social": 3.6}  # m, Hall (1966)
 LONGEST_TTC = 10.0  # s, of a time to collision
 MOVING = 1e-6  # m/s: a slower velocity has no direction
 
-# Each metric's definition, unit and source, as `--help` and the tutorials give them.
+# Each metric's definition, unit and source, which `sfmrl eval --social` prints.
 SOCIAL_METRICS = {
     "danger_frequency": "share of all steps that have a gap below 0.2 m, "
     "not counting an episode's last step (CrowdNav)",
