@@ -8,11 +8,13 @@ import numpy as np
 class Batch:
     """A dataclass of arrays (E, ...), of parts with a `take` of their own, and of settings that all episodes share."""
 
+    def __len__(self) -> int:
+        return len(next(iter(vars(self).values())))  # of the first field
+
     def take(self, rows: int | np.ndarray | slice | list[int]) -> Self:
         """The same for some of the episodes, chosen by an index, an index array, a mask or a slice."""
-        parts = vars(self)
-        index = np.atleast_1d(np.arange(len(next(iter(parts.values()))))[rows])
-        return type(self)(**{name: _taken(part, index) for name, part in parts.items()})
+        index = np.atleast_1d(np.arange(len(self))[rows])
+        return type(self)(**{name: _taken(part, index) for name, part in vars(self).items()})
 
 
 def _taken(part: Any, index: np.ndarray) -> Any:

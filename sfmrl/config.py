@@ -28,7 +28,7 @@ class ConfigError(ValueError):
 
 
 class Untrusted(str):
-    """Text read from a file: code that it names is not run (see `own_code.py`)."""
+    """Text read from a file: code that it names is not run (see `own_code`)."""
 
 
 def knob(default: Any, help: str, low: float | None = None, high: float | None = None, choices: tuple = ()) -> Any:
@@ -266,20 +266,6 @@ def as_typed(words: Iterable[str]) -> str:
         return shlex.join(words)
     plain = re.compile(r"[\w+=:./\\-]+")
     return " ".join(word if plain.fullmatch(word) else '"' + word.rstrip("\\") + '"' for word in words)
-
-
-def as_options(settings: dict[str, Any]) -> list[str]:
-    """Settings, nested as `override` takes them, as the words to type."""
-    words = []
-    for name, value in settings.items():
-        flag = name.replace("_", "-")
-        if isinstance(value, dict):
-            words += as_options(value)
-        elif isinstance(value, bool):
-            words.append(f"--{flag}" if value else f"--no-{flag}")
-        else:
-            words += [f"--{flag}", str(value)]
-    return words
 
 
 def json_object(text: str | bytes) -> dict[str, Any]:

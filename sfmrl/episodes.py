@@ -22,10 +22,12 @@ from sfmrl.policies import config_of, find_policy
 from sfmrl.rewards import OUTCOMES, RUNNING, OwnReward, Terms, Transition, reward_terms, total
 from sfmrl.scenes import Scenes
 from sfmrl.states import states_of
-from sfmrl.world import World, advance, crowd_velocities, drive, reset, transition
+from sfmrl.world import World, advance, crowd_velocities, drive, motion, reset, transition
 
 BATCH = 256  # episodes side by side, unless a policy has its own number
 TOLERANCE = 1e-4  # m/s by which a policy may exceed v_pref: ORCA computes in float32
+
+Arrays = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,9 +56,6 @@ class Record(Batch):
     discounted_return: np.ndarray
     notes: Notes = field(default_factory=dict)
     heading: np.ndarray | None = None
-
-    def __len__(self) -> int:
-        return len(self.steps)
 
     def __repr__(self) -> str:
         ends = ", ".join(f"{(self.outcome == end).sum()} {end}" for end in OUTCOMES[1:])
@@ -92,9 +91,7 @@ class Record(Batch):
 
     def world_at(self, episode: np.ndarray, step: np.ndarray) -> World:
         """The worlds of episodes (S,) before steps (S,)."""
-        recorded = {"position": self.position, "velocity": self.velocity}
-        recorded |= {} if self.heading is None else {"heading": self.heading}
-        moved: dict[str, Any] = {name: array[episode, step] for name, array in recorded.items()}
+        moved = {name: array[episode, step] for name, array in motion(self).items()}
         return replace(reset(self.scenes, self.simulation).take(episode), steps=step, **moved)
 
     def states(self, config: Config) -> np.ndarray:
@@ -138,7 +135,6 @@ def play(
     own = config_of(chosen).simulation if simulation is None else simulation
     given = {"robot_visible": robot_visible, "safety_space": safety_space, "crowd": crowd, "kinematics": kinematics}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    discount = Config(discount=discount).discount  # checks its range
     return play_episodes(scenes, chosen, reward, replace(own, **changes), discount=discount)
 
 
@@ -159,6 +155,7 @@ def play_episodes(
     large for this machine.
     """
     terms = reward_terms(reward)
+    discount = Config(discount=discount).discount  # checks its range
     count, rows = scenes.start.shape[:2]
     needed = 8 * count * simulation.longest * (5 * rows + 9)  # bytes of all that is recorded
     if needed > memory_size():
@@ -166,7 +163,7 @@ def play_episodes(
     if begin := getattr(policy, "begin", None):
         begin(scenes, simulation)
     batch = int(in_range("batch", getattr(policy, "batch", BATCH) if batch is None else batch, 1, math.inf))
-    moments, heading, parts, notes = _recorded(reset(scenes, simulation), policy, terms, batch, keep, progress)
+    moments, parts, notes = _recorded(reset(scenes, simulation), policy, terms, batch, keep, progress)
     steps = 1 + (parts["outcome"] != RUNNING).argmax(1)
     most = int(steps.max(initial=0))
     played = Transition(**parts)[:, :most]
@@ -174,9 +171,10 @@ def play_episodes(
     from_each_step = returns_of(rewards, step_discount(discount, scenes.v_pref[:, 0], simulation))
     returns = from_each_step[:, :1].sum(1)  # from the first one on; there is none without scenes
     notes = {name: array[:, :most] for name, array in notes.items()}
-    position, velocity = moments[:, :, : most + 1]
-    heading = None if heading is None else heading[:, : most + 1]
-    return Record(scenes, simulation, steps, position, velocity, played, rewards, returns, notes, heading)
+    moments = {name: array[:, : most + 1] for name, array in moments.items()}
+    return Record(
+        scenes, simulation, steps, transition=played, reward=rewards, discounted_return=returns, notes=notes, **moments
+    )
 
 
 def _recorded(
@@ -186,16 +184,11 @@ def _recorded(
     batch: int,
     keep: bool,
     progress: Callable[[int], None],
-) -> tuple[np.ndarray, np.ndarray | None, dict[str, np.ndarray], Notes]:
-    """Play all episodes of `start`: positions and velocities (2, E, T + 1, N, 2), headings, parts, notes."""
-    count, longest = len(start), start.simulation.longest
-    moments = np.full((2, count, longest + 1, *start.position.shape[1:]), np.nan)
-    moments[:, :, 0] = start.position, start.velocity
-    heading = None if start.heading is None else np.full((count, longest + 1), np.nan)
-    if heading is not None:
-        heading[:, 0] = start.heading
-    parts, notes = dict[str, np.ndarray](), Notes()
-    nobody = start.take(slice(0))
+) -> tuple[Arrays, Arrays, Notes]:
+    """Play all episodes of `start`: arrays (E, T + 1, ...) of their `motion`, their transitions and the notes."""
+    moments, parts, notes = Arrays(), Arrays(), Notes()
+    count, nobody = len(start), start.take(slice(0))
+    _write(moments, start, motion(start), count)
     _write(parts, nobody, vars(transition(nobody, np.zeros((0, 2)))), count)  # makes the arrays, also for no scenes
     waiting = min(batch, count)  # the first of the episodes that wait for their turn
     world = start.take(slice(waiting))
@@ -208,15 +201,13 @@ def _recorded(
         _write(parts, world, vars(step), count)
         _write(notes, world, noted, count)
         world = advance(world, moves, action)
-        moments[:, world.episode, world.steps] = world.position, world.velocity
-        if heading is not None:
-            heading[world.episode, world.steps] = world.heading
+        _write(moments, world, motion(world), count)
         going = step.outcome == RUNNING
         if ended := int(np.count_nonzero(~going)):
             progress(ended)
             fresh = np.arange(waiting, min(waiting + ended, count))
             world, waiting = _refill(start, world, going, fresh), waiting + len(fresh)
-    return moments, heading, parts, notes
+    return moments, parts, notes
 
 
 def _choice(policy: Policy, world: World, moves: np.ndarray, keep: bool) -> tuple[np.ndarray, Notes]:
@@ -233,21 +224,19 @@ def _choice(policy: Policy, world: World, moves: np.ndarray, keep: bool) -> tupl
     return action, notes
 
 
-def _write(arrays: dict[str, np.ndarray], world: World, parts: dict[str, np.ndarray], count: int) -> None:
-    """Write a step's `parts` (e, ...) into `arrays` (E, T, ...), by name; make arrays of NaN or 0 that are missing."""
+def _write(arrays: Arrays, world: World, parts: Arrays, count: int) -> None:
+    """Write a step's `parts` (e, ...) into `arrays` (E, T + 1, ...), by name; make missing ones, of NaN or 0."""
     for name, part in parts.items():
         if name not in arrays:
             empty = np.nan if part.dtype.kind == "f" else 0  # 0 is RUNNING, too
-            arrays[name] = np.full((count, world.simulation.longest, *part.shape[1:]), empty, part.dtype)
+            arrays[name] = np.full((count, world.simulation.longest + 1, *part.shape[1:]), empty, part.dtype)
         arrays[name][world.episode, world.steps] = part
 
 
 def _refill(start: World, world: World, going: np.ndarray, fresh: np.ndarray) -> World:
     """The world of the episodes that are `going` on (a mask), and of `fresh` ones (indices) at their start."""
-    changing = ("position", "velocity", "steps", *(() if world.heading is None else ("heading",)))
-    joined: dict[str, Any] = {
-        name: np.concatenate((getattr(world, name)[going], getattr(start, name)[fresh])) for name in changing
-    }
+    now, begun = motion(world) | {"steps": world.steps}, motion(start) | {"steps": start.steps}
+    joined: dict[str, Any] = {name: np.concatenate((now[name][going], begun[name][fresh])) for name in now}
     return replace(start.take(np.concatenate((world.episode[going], fresh))), **joined)
 
 

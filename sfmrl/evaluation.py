@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sfmrl.actions import Policy
-from sfmrl.config import MOST_EPISODES, Config, Reward, Simulation, in_range
+from sfmrl.config import MOST_EPISODES, Reward, Simulation, in_range
 from sfmrl.episodes import Record, play_episodes
 from sfmrl.policies import config_of, find_policy
 from sfmrl.rewards import OwnReward
@@ -60,7 +60,7 @@ def evaluation_record(
     settings = own.reward if reward is None else reward
     environment = own.reinforcement.test_environment if environment is None else environment
     simulation = own.simulation if simulation is None else simulation
-    discount = own.discount if discount is None else Config(discount=discount).discount  # checks its range
+    discount = own.discount if discount is None else discount
     crowd: dict[str, Any] = {"people": people, "people_speed": people_speed}
     crowd["random_attributes"] = simulation.random_attributes
     scenes = sample_scenes(environment, episodes, seed, phase=phase, **crowd)

@@ -7,7 +7,6 @@ which episodes are played side by side, or on which process.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -25,9 +24,8 @@ Explored = tuple[Record, np.ndarray]  # E episodes, and which of their steps (E,
 def explore(policy: SarlPolicy, config: Config, episodes: Sequence[int]) -> Explored:
     """Play training episodes epsilon-greedily; returns their record, and which steps (E, T) were random."""
     settings = config.reinforcement
-    how: dict[str, Any] = {"phase": "train", "random_attributes": config.simulation.random_attributes}
-    scenes = sample_scenes(settings.environment, episodes, config.seed, **how)
-    longest = config.simulation.longest
+    attributes, longest = config.simulation.random_attributes, config.simulation.longest
+    scenes = sample_scenes(settings.environment, episodes, config.seed, phase="train", random_attributes=attributes)
     rngs = [generator(config.seed, "exploration", episode) for episode in episodes]
     random_steps = np.array([rng.random(longest) for rng in rngs]) < epsilon(settings, np.array(episodes))[:, None]
     random_actions = np.array([rng.integers(len(ACTIONS), size=longest) for rng in rngs])  # (E, T), their indices

@@ -10,8 +10,8 @@ from typing import Any
 from sfmrl.config import Config, ConfigError
 from sfmrl.episodes import Record, play_episodes, returns_of, rewards_of
 from sfmrl.fast import new_network
-from sfmrl.fast.optimizers import OPTIMIZERS, flush_negligible
-from sfmrl.learning import Memory, Resumable, checked_mean_loss, learn
+from sfmrl.fast.optimizers import OPTIMIZERS
+from sfmrl.learning import Memory, Resumable, descend
 from sfmrl.lookahead import step_discount
 from sfmrl.policies import orca_policy
 from sfmrl.rewards import reward_terms
@@ -20,9 +20,9 @@ from sfmrl.scenes import elements_of, generator, sample_scenes
 
 def demonstrate(config: Config, progress: Callable[[int], None] = lambda ended: None) -> Record:
     """Play the imitation episodes with ORCA; `progress` is called with the number that have just ended."""
-    settings = config.imitation
-    how: dict[str, Any] = {"phase": "imitation", "random_attributes": config.simulation.random_attributes}
-    scenes = sample_scenes(settings.environment, settings.episodes, config.seed, **how)
+    settings, attributes = config.imitation, config.simulation.random_attributes
+    where, count = settings.environment, settings.episodes
+    scenes = sample_scenes(where, count, config.seed, phase="imitation", random_attributes=attributes)
     return play_episodes(scenes, orca_policy, config.reward, config.simulation, progress=progress)
 
 
@@ -58,27 +58,19 @@ class Fit(Resumable):
         """The number of batches up to the end of the last epoch."""
         return (self.settings.epochs - self.epoch) * -(-len(memory) // self.settings.batch_size)
 
-    def run_epoch(self, memory: Memory, progress: Callable[[int], None]) -> float:
-        """Learn from each state in the memory once, in random order; returns the mean loss."""
-        size = self.settings.batch_size
-        order = self.rng.permutation(len(memory))
-        batches = [order[first : first + size] for first in range(0, len(order), size)]
-        steps = self.settings.epochs * len(batches)
-        losses = []
-        flush_negligible(self.optimizer)
-        for number, rows in enumerate(batches, start=self.epoch * len(batches)):
-            rate = self.optimizer.rate(self.settings.learning_rate, number / steps)
-            losses.append(learn(self.network, self.optimizer, rate, *memory.take(rows)))
-            progress(1)
-        loss = checked_mean_loss(losses, self.optimizer, self.settings)
-        self.epoch += 1
-        return loss
-
 
 def fit_memory(
     fit: Fit, memory: Memory, progress: Callable[[int], None] = lambda batches: None
 ) -> Iterator[dict[str, Any]]:
-    """Run the epochs that are left, and yield metrics after each; calls `progress` with 1 after each batch."""
-    while fit.epoch < fit.settings.epochs:
-        loss = fit.run_epoch(memory, progress)
+    """Run the epochs that are left, each over all states in random order, and yield metrics after each.
+
+    Calls `progress` with 1 after each batch.
+    """
+    settings, size = fit.settings, fit.settings.batch_size
+    while fit.epoch < settings.epochs:
+        order = fit.rng.permutation(len(memory))
+        batches = [order[first : first + size] for first in range(0, len(order), size)]
+        steps = settings.epochs * len(batches)
+        loss = descend(fit.optimizer, memory, batches, settings.learning_rate, steps, progress)
+        fit.epoch += 1
         yield {"epoch": fit.epoch, "loss": loss}

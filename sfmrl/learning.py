@@ -6,11 +6,12 @@ is the replay memory, `Learner` the state of deep V-learning between two rounds 
 
 import json
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from sfmrl.config import Config, ConfigError, Imitation, Reinforcement
+from sfmrl.config import Config, ConfigError
 from sfmrl.fast import FastNetwork
 from sfmrl.fast.optimizers import OPTIMIZERS, SGD, flush_negligible
 from sfmrl.scenes import generator
@@ -62,7 +63,7 @@ class Memory:
         self.states[: self.size], self.values[: self.size] = saved["states"], saved["values"]
 
 
-@np.errstate(over="ignore", invalid="ignore")  # `checked_mean_loss` finds what is not finite
+@np.errstate(over="ignore", invalid="ignore")  # `descend` finds what is not finite
 def learn(network: FastNetwork, optimizer: SGD, rate: float, states: np.ndarray, values: np.ndarray) -> float:
     """One step of descent at learning rate `rate` on states (B, K, F) and values (B,); returns the loss."""
     loss, _ = network.loss_and_gradients(states, values)
@@ -70,12 +71,24 @@ def learn(network: FastNetwork, optimizer: SGD, rate: float, states: np.ndarray,
     return loss
 
 
-def checked_mean_loss(losses: list[float], optimizer: SGD, settings: Imitation | Reinforcement) -> float:
-    """The mean loss of some steps; raises ConfigError if it or a weight is not finite, so that no such one is saved."""
+def descend(
+    optimizer: SGD, memory: Memory, batches: list[np.ndarray], rate: float, steps: int, progress: Callable[[int], None]
+) -> float:
+    """Take a step of descent on each of the `batches`, indices (B,) in the memory; returns the mean loss.
+
+    `rate` is the highest learning rate of the training, `steps` how many it takes in all; `progress` is called with 1
+    after each. Raises ConfigError if the loss or a weight is not finite, so that no such one is saved.
+    """
+    flush_negligible(optimizer)
+    losses = []
+    for rows in batches:
+        now = optimizer.rate(rate, optimizer.steps / steps)
+        losses.append(learn(optimizer.network, optimizer, now, *memory.take(rows)))
+        progress(1)
     loss = float(np.mean(losses))
     if not (math.isfinite(loss) and np.isfinite(optimizer.network.flat).all()):
         raise ConfigError(
-            f"the training diverged (loss {loss:g}): learning-rate {settings.learning_rate:g} is likely too high for "
+            f"the training diverged (loss {loss:g}): learning-rate {rate:g} is likely too high for "
             f"{type(optimizer).__name__} (or the rewards are too large); start a new run with a smaller "
             "--learning-rate. The old run keeps its last good checkpoint"
         )
@@ -110,12 +123,12 @@ class Learner(Resumable):
     network: what is trained
     actor: what explores: the network or, in rounds of several episodes, a copy from before the latest batches
     target: a copy that is renewed at intervals, for the values to learn
-    episode, batch: how many have been learnt from
+    episode: how many have been learnt from
     rows, validations: the lines of metrics.csv and validation.csv
     """
 
     parts = ("network", "actor", "target", "optimizer", "memory")
-    counters = ("episode", "batch", "rows", "validations")
+    counters = ("episode", "rows", "validations")
 
     def __init__(self, network: FastNetwork, memory: Memory, config: Config) -> None:
         self.config, self.memory, self.network = config, memory, network
@@ -123,7 +136,7 @@ class Learner(Resumable):
         self.actor = network.copy() if config.reinforcement.parallel > 1 else network
         self.optimizer = OPTIMIZERS[config.optimizer](network)
         self.rng = generator(config.seed, "batches")
-        self.episode = self.batch = 0
+        self.episode = 0
         self.rows: list[dict[str, Any]] = []
         self.validations: list[dict[str, Any]] = []
 
@@ -132,16 +145,11 @@ class Learner(Resumable):
         settings, stored = self.config.reinforcement, len(self.memory)
         if not (stored and batches):
             return math.nan
-        flush_negligible(self.optimizer)
         # Draw all batches first: between steps of descent, a draw takes eight times as long, with cold caches.
         size = min(settings.batch_size, stored)
         draws = [self.rng.choice(stored, size, replace=False) for _ in range(batches)]
-        losses = []
-        for rows in draws:
-            rate = self.optimizer.rate(settings.learning_rate, self.batch / (settings.episodes * settings.batches))
-            losses.append(learn(self.network, self.optimizer, rate, *self.memory.take(rows)))
-            self.batch += 1
-        return checked_mean_loss(losses, self.optimizer, settings)
+        steps = settings.episodes * settings.batches
+        return descend(self.optimizer, self.memory, draws, settings.learning_rate, steps, lambda batches: None)
 
     def advance(self, episodes: int) -> None:
         """Count these episodes as learnt from, and renew the target network at its interval."""

@@ -82,8 +82,9 @@ class Builder:
 
     def people(self, which: np.ndarray, count: int, crossing: bool = False) -> None:
         """People in rows 1 to `count`, on the circle or `crossing` a square."""
+        place = self.crossing_person if crossing else self.person
         for row in range(1, count + 1):
-            (self.crossing_person if crossing else self.person)(which, row)
+            place(which, row)
 
     def person(self, which: np.ndarray, row: int) -> None:
         """A person near the circle whose goal is the opposite point, clear of everything placed so far."""
@@ -121,8 +122,8 @@ class Builder:
         """Draw a person's v_pref and radius, if they are random."""
         if self.random_attributes:
             draws = np.reshape([self.rngs[e].random(2) for e in which], (-1, 2))
-            for part, (low, high), draw in ((self.v_pref, SPEEDS, draws[:, 0]), (self.radius, RADII, draws[:, 1])):
-                part[which, row] = low + (high - low) * draw
+            low, high = np.transpose((SPEEDS, RADII))
+            self.v_pref[which, row], self.radius[which, row] = (low + (high - low) * draws).T
 
     def separate_square(self, which: np.ndarray, row: int) -> None:
         """A square in the disc of radius SQUARE_REACH, clear of everything placed so far."""

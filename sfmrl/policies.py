@@ -10,7 +10,8 @@ from sfmrl.actions import Policy
 from sfmrl.config import Config, ConfigError
 from sfmrl.geometry import direction
 from sfmrl.lookahead import SarlPolicy
-from sfmrl.own_code import OwnPolicy, kind, names_code, trusted
+from sfmrl.own_code import OwnPolicy, kind, names_code
+from sfmrl.own_code.trust import trusted
 from sfmrl.world import World, orca_crowd, sfm_crowd
 
 

@@ -5,7 +5,7 @@ The simulator judges the episode's end (`outcome`) in CrowdNav's order: time-out
 paper's formulas, time-outs have no case (they are worth 0, as in CrowdNav), and discomfort comes before the goal.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import cast
 
@@ -115,23 +115,6 @@ def too_close(transition: Transition, p: Reward) -> np.ndarray:
 
 
 REWARDS = {"crowd": crowd_terms, "sfm": sfm_terms, "sfm-discount": sfm_discount_terms}
-ALL_READ = ("success", "collision", "discomfort_distance")
-SFM_READS = (*ALL_READ, "discomfort_amplitude", "discomfort_decay", "k", "distance_weight")
-READS = {  # the settings that each reward reads
-    "crowd": (*ALL_READ, "discomfort_slope"),
-    "sfm": SFM_READS,
-    "sfm-discount": (*SFM_READS, "discount_start", "discount_rate"),
-}
-
-
-def check_read(reward: Reward, given: Iterable[str]) -> None:
-    """Raise ConfigError if the reward does not read one of the settings that the user has `given`."""
-    for name in given:
-        if reward.reward in READS and name not in ("reward", *READS[reward.reward]):
-            readers = " or ".join(other for other, read in READS.items() if name in read)
-            flag = name.replace("_", "-")
-            text = f"--{flag} changes nothing with --reward {reward.reward}; leave it out, or choose {readers}"
-            raise ConfigError(text)
 
 
 def reward_terms(reward: str | Reward | OwnReward) -> Callable[[Transition], Terms]:

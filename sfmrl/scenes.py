@@ -32,7 +32,7 @@ ENVIRONMENTS = {
 }
 DRAWN = "map:"  # begins the name of an environment that is a drawing, its lines joined by "/"
 PHASES = ("train", "validation", "test", "imitation")
-STREAMS = (*PHASES, "fit", "batches", "exploration")  # all uses of random numbers; the index is a seed
+STREAMS = (*PHASES, "fit", "batches", "exploration")  # all random numbers but a new network's; the index is a seed
 
 
 @dataclass(frozen=True, repr=False)
@@ -91,9 +91,6 @@ class Scenes(Batch):
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False  # a world begins with these arrays
             object.__setattr__(self, item.name, value)
-
-    def __len__(self) -> int:
-        return len(self.start)
 
     def __repr__(self) -> str:
         return f"Scenes({counted(len(self), 'episode')} of environment {', '.join(np.unique(self.environment))})"

@@ -1,6 +1,5 @@
 """The paper's variants and the presets, as data: what each changes in `Config()`, SARL with solid squares."""
 
-from dataclasses import asdict
 from typing import Any
 
 from sfmrl.config import Config, ConfigError, override, suggest
@@ -51,22 +50,3 @@ def make_config(preset: str = "quick", variant: str = "sarl", **changes: Any) ->
             raise ConfigError(f"there is no {kind} {name!r}; choose {', '.join(table)}{suggest(name, table)}")
     named = override(override(Config(), PRESETS[preset]), VARIANTS[variant])
     return override(named, changes)
-
-
-def variant_name(config: Config) -> str:
-    """The paper's name for a config's reward, state and environments, or a description if it has none."""
-
-    def chosen(config: Config) -> tuple:
-        return config.reward, config.forces, config.reinforcement.environment
-
-    for name in VARIANTS:
-        if chosen(config) == chosen(make_config(config.preset, name)):
-            return name
-    reward = config.reward.reward.rpartition(":")[2]
-    return f"custom-{reward}{'-forces' if config.forces else ''}"
-
-
-def unusual_simulation(config: Config) -> dict[str, Any]:
-    """The settings of a config's simulation that differ from those of its preset, by name."""
-    usual = asdict(make_config(config.preset).simulation)
-    return {name: value for name, value in asdict(config.simulation).items() if value != usual[name]}

@@ -9,6 +9,7 @@ drives along its new heading.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -53,9 +54,6 @@ class World(Batch):
     episode: np.ndarray
     simulation: Simulation
     heading: np.ndarray | None
-
-    def __len__(self) -> int:
-        return len(self.position)
 
     @property
     def time(self) -> np.ndarray:
@@ -111,6 +109,12 @@ def reset(scenes: Scenes, simulation: Simulation = Simulation()) -> World:
         simulation=simulation,
         heading=np.arctan2(y, x) if simulation.kinematics == "unicycle" else None,
     )
+
+
+def motion(moments: Any) -> dict[str, Any]:
+    """What changes from step to step in a `World` or a record: position, velocity and, of a unicycle, heading."""
+    parts = {name: getattr(moments, name) for name in ("position", "velocity", "heading")}
+    return {name: part for name, part in parts.items() if part is not None}
 
 
 def crowd_velocities(world: World) -> np.ndarray:

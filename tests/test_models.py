@@ -11,11 +11,12 @@ from sfmrl.evaluation import evaluation_record, wilson
 from sfmrl.policies import load_policy
 from sfmrl.runs import weights
 from sfmrl.runs.bits import machine_bits
+from sfmrl.runs.create import variant_name
 from sfmrl.runs.files import DamagedFile
 from sfmrl.runs.weights import find_weights, load_weights, model_card, model_names
 from sfmrl.scenes import Scenes
 from sfmrl.study.tables import TABLES
-from sfmrl.variants import make_config, variant_name
+from sfmrl.variants import make_config
 
 NAMES = model_names()
 

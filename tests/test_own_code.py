@@ -15,7 +15,8 @@ from sfmrl.config import Config, ConfigError, Planner, Reward, Simulation, Untru
 from sfmrl.episodes import Record, play, play_episodes
 from sfmrl.evaluation import evaluate
 from sfmrl.network import ValueNetwork
-from sfmrl.own_code import UntrustedReward, code_digest, trusted
+from sfmrl.own_code import UntrustedReward
+from sfmrl.own_code.trust import code_digest, trusted
 from sfmrl.policies import load_policy
 from sfmrl.recovery import with_recovery
 from sfmrl.rewards import Transition, reward_terms

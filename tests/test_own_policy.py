@@ -9,7 +9,7 @@ from conftest import assert_one_line_error
 
 from sfmrl.config import ConfigError, Planner
 from sfmrl.episodes import play
-from sfmrl.own_code import code_digest
+from sfmrl.own_code.trust import code_digest
 from sfmrl.policies import load_policy
 from sfmrl.recovery import with_recovery
 from sfmrl.scenes import sample_scenes

@@ -16,16 +16,16 @@ from conftest import ROOT, environment
 
 import sfmrl
 
-# The core, in reading order: a file imports only those above it, and orca/ and fast/.
+# The core, in reading order: a file imports only those above it, and own_code/, orca/ and fast/.
 CORE = (
-    *("config", "variants", "geometry", "batch", "own_code", "sfm", "rewards", "placement", "scenes"),
+    *("config", "variants", "geometry", "batch", "sfm", "rewards", "placement", "scenes"),
     *("world", "actions", "states", "network", "traps", "lookahead", "policies", "episodes", "evaluation", "learning"),
     *("exploration", "imitation", "reinforcement"),
 )
 # The wings: a folder imports the core and the wings before it.
-WINGS = ("orca", "fast", "recovery", "maps", "runs", "replay", "envs", "study", "lessons", "cli")
-# The two that the core uses import these of its files alone.
-KERNELS = {"orca": {"geometry"}, "fast": {"config", "states"}}
+WINGS = ("own_code", "orca", "fast", "recovery", "maps", "runs", "replay", "envs", "study", "lessons", "cli")
+# The three that the core uses import these of its files alone.
+KERNELS = {"own_code": {"config"}, "orca": {"geometry"}, "fast": {"config", "states"}}
 # Inside a function: where a name may be that of a map or of a trained network, for recovery, and for notebooks.
 LATER = {
     "scenes": {"maps", "replay.picture"},
@@ -78,7 +78,7 @@ def test_a_file_imports_only_what_is_below_it(path):
     name = name_of(path)
     wing = name.partition(".")[0]
     if name in CORE:
-        below = {*CORE[: CORE.index(name)], "orca", "fast"}
+        below = {*CORE[: CORE.index(name)], *KERNELS}
     else:
         below = {wing} | KERNELS.get(wing, {*CORE, *WINGS[: WINGS.index(wing)]})
 

@@ -10,17 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sfmrl.cli.session import READS, check_read
 from sfmrl.config import ConfigError, Reward
 from sfmrl.episodes import play
 from sfmrl.rewards import (
     COLLISION,
-    READS,
     REWARDS,
     RUNNING,
     SUCCESS,
     TIMEOUT,
     Transition,
-    check_read,
     reward_terms,
     total,
 )

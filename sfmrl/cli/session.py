@@ -9,9 +9,17 @@ from typing import Any
 from sfmrl.cli import completion, options
 from sfmrl.cli.console import err, say
 from sfmrl.cli.options import number_option, option
-from sfmrl.config import LARGEST_SEED, Config, ConfigError, Planner, Simulation, as_options, as_typed, counted, override
-from sfmrl.runs.folders import newest_run
+from sfmrl.config import LARGEST_SEED, Config, ConfigError, Planner, Reward, Simulation, as_typed, counted, override
+from sfmrl.runs.folders import as_options, newest_run
 from sfmrl.variants import MIXES
+
+ALL_READ = ("success", "collision", "discomfort_distance")
+SFM_READS = (*ALL_READ, "discomfort_amplitude", "discomfort_decay", "k", "distance_weight")
+READS = {  # the settings that each reward reads
+    "crowd": (*ALL_READ, "discomfort_slope"),
+    "sfm": SFM_READS,
+    "sfm-discount": (*SFM_READS, "discount_start", "discount_rate"),
+}
 
 
 def exclude(given: dict[str, Any]) -> None:
@@ -26,6 +34,16 @@ def check_planner(planners: Iterable[Planner], given: Iterable[str]) -> None:
     needless = [name for name in given if name != "recover"]
     if needless and not any(planner.recover for planner in planners):
         raise ConfigError(f"--{needless[0].replace('_', '-')} changes nothing without recovery; add --recover")
+
+
+def check_read(reward: Reward, given: Iterable[str]) -> None:
+    """Raise ConfigError if the reward does not read one of the settings that the user has `given`."""
+    for name in given:
+        if reward.reward in READS and name not in ("reward", *READS[reward.reward]):
+            readers = " or ".join(other for other, read in READS.items() if name in read)
+            flag = name.replace("_", "-")
+            text = f"--{flag} changes nothing with --reward {reward.reward}; leave it out, or choose {readers}"
+            raise ConfigError(text)
 
 
 def say_differing_settings(path: Path, config: Config) -> None:
@@ -102,8 +120,6 @@ class TestOptions:
         self, policies: Sequence[str | None], settings: dict[str, Any]
     ) -> tuple[list[Any], list[str], Config]:
         """Return policies and their names, as `choose` does, and the first one's config, whose reward judges all."""
-        from sfmrl.rewards import check_read
-
         parts = [self._choose(policy, settings) for policy in policies]
         config = parts[0][2]
         check_read(config.reward, settings.get("reward", {}))
@@ -184,7 +200,8 @@ def simulation_for(policy: Any, config: Config, settings: dict[str, Any]) -> Sim
 
 def code_facts(policies: list[str]) -> dict[str, Any]:
     """Return, for JSON, the SHA-256 of the Python files among the policies, {} if there are none."""
-    from sfmrl.own_code import code_digest, names_code
+    from sfmrl.own_code import names_code
+    from sfmrl.own_code.trust import code_digest
 
     digests = {name: code_digest(name) for name in policies if names_code(name)}
     return {"sha256": digests} if digests else {}

@@ -8,11 +8,11 @@ from typing import Any, cast
 from sfmrl.cli import completion, options
 from sfmrl.cli.console import err, print_metrics, say
 from sfmrl.cli.options import command, option
-from sfmrl.cli.session import check_planner, drawn, exclude, say_differing_settings
-from sfmrl.config import Config, ConfigError, as_options, as_typed, override
+from sfmrl.cli.session import check_planner, check_read, drawn, exclude, say_differing_settings
+from sfmrl.config import Config, ConfigError, as_typed, override
 from sfmrl.runs.files import read_regular
-from sfmrl.runs.folders import as_words, finished
-from sfmrl.variants import PRESETS, VARIANTS, make_config, unusual_simulation
+from sfmrl.runs.folders import as_options, as_words, finished
+from sfmrl.variants import PRESETS, VARIANTS, make_config
 
 VARIANT = option(
     None,
@@ -38,7 +38,7 @@ class TrainingOptions:
 
     def reopen(self, kind: str, *others: Any) -> Any:
         """Open the run to resume; raises ConfigError if other options are given, since a run has its own settings."""
-        from sfmrl.own_code import trusted
+        from sfmrl.own_code.trust import trusted
         from sfmrl.runs.run import open_run
 
         if any((self.config, self.run, self.overwrite, self.go_on, *others)):
@@ -56,8 +56,7 @@ class TrainingOptions:
 
     def new_config(self, variant: str | None, settings: dict[str, Any]) -> Config:
         """Return the config of a new training: that of --config, or of preset and variant, with settings changed."""
-        from sfmrl.own_code import absolute, trusted
-        from sfmrl.rewards import check_read
+        from sfmrl.own_code.trust import absolute, trusted
 
         preset = settings.pop("preset", None)
         if name := settings.get("reward", {}).get("reward"):
@@ -89,7 +88,7 @@ def _values(config: Any, names: dict[str, Any]) -> dict[str, Any]:
 @command("sfmrl il --preset paper --seed 1", "", "simulation", "reward", "planner", "imitation")
 def il(variant: str | None = VARIANT, *, settings: dict[str, Any], training: TrainingOptions) -> None:
     """Imitation: learn the values of situations from ORCA's demonstrations."""
-    from sfmrl.runs.create import create_run
+    from sfmrl.runs.create import create_run, unusual_simulation
     from sfmrl.runs.training import run_imitation
 
     if training.resume:
@@ -197,7 +196,7 @@ def _already_finished(run: Any) -> bool:
 
 def _train(run: Any, work: Callable[..., Any]) -> Any:
     """Train; raises Interrupted, which says how to resume, if a stop is requested."""
-    from sfmrl.own_code import code_digest
+    from sfmrl.own_code.trust import code_digest
     from sfmrl.rewards import reward_terms
     from sfmrl.runs.bits import machine_bits
     from sfmrl.runs.progress import Interrupted, StopSignal, show_progress

@@ -13,7 +13,8 @@ from sfmrl.evaluation import RATES
 from sfmrl.fast import kernels
 from sfmrl.lessons import Finding
 from sfmrl.lessons.rerun import Disagreement, Rerun, outcomes, result_of
-from sfmrl.own_code import UntrustedReward, code_digest, trusted
+from sfmrl.own_code import UntrustedReward
+from sfmrl.own_code.trust import code_digest, trusted
 from sfmrl.runs.bits import versions
 from sfmrl.runs.files import SUMS, DamagedFile, digest_of, read_regular, read_sums, read_table
 from sfmrl.runs.folders import BEST, CHECKPOINT, DEMONSTRATIONS, MAP, WEIGHTS, finished, unfinished

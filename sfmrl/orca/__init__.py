@@ -70,7 +70,11 @@ def orca_velocities(
         raise ValueError(f"max_neighbors is {max_neighbors!r}; it must be a whole number, 0 or more")
     if agents is not None and np.asarray(agents).dtype != bool:
         raise ValueError("agents must be an array of bool: True for the agents to compute, False for the others")
-    edges = _edges(polygons, position)
+    if polygons is None:
+        polygons = np.empty((len(position), 0, 0, 2))
+    edges = polygons if isinstance(polygons, Edges) else polygon_edges(polygons, position)
+    if len(edges) != len(position):
+        raise ValueError(f"polygons must belong to {len(position)} episodes, not to {len(edges)}")
     planes, present = _planes(position, velocity, radius, max_speed, preferred_velocity, edges.origin)
     wanted = present if agents is None else present & (broadcast("agents", agents, position.shape[:2]) != 0).T
     others, own = present.any(axis=1).nonzero()[0], wanted.any(axis=1).nonzero()[0]
@@ -169,15 +173,6 @@ def _blocks(episodes, own, pairs):
     for first in range(0, episodes, size):
         for column in range(0, len(own), columns):
             yield slice(first, first + size), own[column : column + columns]
-
-
-def _edges(polygons, position):
-    """Return the polygons' Edges, of no polygon where they are None, for agents at the positions (E, N, 2)."""
-    if not isinstance(polygons, Edges):
-        return polygon_edges(np.empty((len(position), 0, 0, 2)) if polygons is None else polygons, position)
-    if len(polygons) != len(position):
-        raise ValueError(f"polygons must belong to {len(position)} episodes, not to {len(polygons)}")
-    return polygons
 
 
 def _planes(position, velocity, radius, max_speed, preferred_velocity, origin):

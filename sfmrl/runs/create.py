@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from sfmrl.config import Config, ConfigError, Untrusted, as_options, as_typed
-from sfmrl.own_code import code_digest
+from sfmrl.config import Config, ConfigError, Untrusted, as_typed
+from sfmrl.own_code.trust import code_digest
 from sfmrl.rewards import reward_terms
 from sfmrl.runs.bits import versions
 from sfmrl.runs.files import SUMS, DamagedFile, digest_of, read_checked, read_sums, retried, write_together
@@ -24,6 +24,7 @@ from sfmrl.runs.folders import (
     MAP,
     RUNS,
     WEIGHTS,
+    as_options,
     as_words,
     files_of_run,
     finished,
@@ -38,7 +39,7 @@ from sfmrl.runs.run import Run, open_run
 from sfmrl.runs.weights import find_weights, load_weights, model_names
 from sfmrl.scenes import DRAWN, parse_mix, sample_scenes
 from sfmrl.states import column_names
-from sfmrl.variants import unusual_simulation, variant_name
+from sfmrl.variants import VARIANTS, make_config
 from sfmrl.world import reset, transition
 
 
@@ -85,6 +86,19 @@ def create_run(  # type: ignore[return]  # its loop over count(1) ends by a retu
                 raise
             continue  # another run has this name
         return replace(open_run(place), config=config)  # the user named this config's reward: it is trusted
+
+
+def variant_name(config: Config) -> str:
+    """The paper's name for a config's reward, state and environments, or a description if it has none."""
+
+    def chosen(config: Config) -> tuple:
+        return config.reward, config.forces, config.reinforcement.environment
+
+    for name in VARIANTS:
+        if chosen(config) == chosen(make_config(config.preset, name)):
+            return name
+    reward = config.reward.reward.rpartition(":")[2]
+    return f"custom-{reward}{'-forces' if config.forces else ''}"
 
 
 def _from(folder: Path, path: Path) -> str:
@@ -249,3 +263,9 @@ def _newest_fitting(config: Config) -> Path:
         f"no finished imitation run fits ({flags}): type sfmrl il {flags}, name a run with --from, or start without "
         "imitation with --from-scratch"
     )
+
+
+def unusual_simulation(config: Config) -> dict[str, Any]:
+    """The settings of a config's simulation that differ from those of its preset, by name."""
+    usual = asdict(make_config(config.preset).simulation)
+    return {name: value for name, value in asdict(config.simulation).items() if value != usual[name]}

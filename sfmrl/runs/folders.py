@@ -92,6 +92,20 @@ def as_words(folder: Path) -> str:
     return as_typed([name, *["--trust-reward"] * (":" in str(reward))])
 
 
+def as_options(settings: dict[str, Any]) -> list[str]:
+    """Settings, nested as `override` takes them, as the words to type."""
+    words = []
+    for name, value in settings.items():
+        flag = name.replace("_", "-")
+        if isinstance(value, dict):
+            words += as_options(value)
+        elif isinstance(value, bool):
+            words.append(f"--{flag}" if value else f"--no-{flag}")
+        else:
+            words += [f"--{flag}", str(value)]
+    return words
+
+
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Keep other processes from training in a folder, where the system can; raises ConfigError if one does."""

@@ -1,14 +1,12 @@
 """Rewards and policies that users write as Python functions: load them, check what they return, explain their errors.
 
 Their arguments are read-only copies, so that they cannot change a result. A reward that only a run or weights file
-names is `Untrusted` and is not run, since opening a file must not run code.
+names is `Untrusted` and is not run, since opening a file must not run code; `trust.py` says who may allow it.
 """
 
 import copy
-import hashlib
 import importlib
 import runpy
-import sys
 import traceback
 from collections.abc import Callable
 from dataclasses import is_dataclass, replace
@@ -18,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from sfmrl.config import Config, ConfigError, Untrusted, as_typed, override, suggest
+from sfmrl.config import ConfigError, Untrusted, as_typed, suggest
 
 READ_ONLY = "its arguments are read-only: work on a copy, such as numpy.array(...)"
 NO_MODULE = "No module named"
@@ -167,7 +165,7 @@ def load(name: str, what: str = "reward") -> Callable:
             f"add --trust-reward, or --reward {as_typed([name])} (in Python: load_policy(..., trust_reward=True))"
         )
     place, _, function = name.rpartition(":")
-    file = _file(name, what)
+    file = file_of(name, what)
     run = runpy.run_path if file else lambda module: vars(importlib.import_module(module))
     known = guarded(f"{what} {name}", "cannot be imported", file, lambda: run(file or place))
     if not callable(known.get(function)):
@@ -175,50 +173,7 @@ def load(name: str, what: str = "reward") -> Callable:
     return known[function]
 
 
-def trusted(config: Config, trust: bool | str, digest: str | None = None) -> Config:
-    """The config, its reward allowed to be run if `trust` is True or names the same reward.
-
-    If the config's file is gone, a copy of it elsewhere counts as the same, if its SHA-256 is `digest`; raises
-    ConfigError if it is another.
-    """
-    name = config.reward.reward
-    if type(trust) is not str:  # also Untrusted, which only a file names
-        return override(config, {"reward": {"reward": str(name)}}) if trust is True else config
-    place, _, function = name.rpartition(":")
-    moved = place.endswith(".py") and not Path(place).is_file() and trust.endswith(f".py:{function}")
-    if moved and digest:
-        if code_digest(trust) != digest:
-            raise ConfigError(f"{trust} is not the reward that the network was trained with, {name}; put that one back")
-        name = trust
-    return override(config, {"reward": {"reward": str(name)}}) if absolute(trust) == absolute(name) else config
-
-
-def absolute(name: str) -> str:
-    """A reward's name with an absolute path, if it has a path, so that the file is found from any folder."""
-    place, colon, function = name.rpartition(":")
-    return f"{Path(place).resolve()}{colon}{function}" if place.endswith(".py") else name
-
-
-def code_digest(name: str) -> str | None:
-    """The SHA-256 of the file with the named code, CRLF read as LF; None if no file is found.
-
-    Raises ConfigError if the name has a path, and there is no such file.
-    """
-    file = _file(name) or (_module_file(name.rpartition(":")[0]) if names_code(name) else "")
-    return hashlib.sha256(Path(file).read_bytes().replace(b"\r\n", b"\n")).hexdigest() if file else None
-
-
-def _module_file(module: str) -> str:
-    """The file of a module in one of the folders of sys.path, "" if there is none; imports nothing."""
-    for folder in sys.path:
-        place = Path(folder, *module.split("."))
-        for file in (place / "__init__.py", place.with_suffix(".py")):
-            if file.is_file():
-                return str(file)
-    return ""
-
-
-def _file(name: str, what: str = "reward") -> str:
+def file_of(name: str, what: str = "reward") -> str:
     """The file in a name of Python code, "" if it names none; raises ConfigError if it is missing."""
     place = name.rpartition(":")[0]
     if not place.endswith(".py"):
