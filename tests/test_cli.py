@@ -375,7 +375,7 @@ def test_what_to_type_says_to_trust_the_reward_of_a_run_that_needs_it(in_process
         run = create_run("rl", Config(reward=Reward(reward=reward)), name)
         assert on_run("eval", run) == f"sfmrl eval '{name}'{trust}"
         assert unfinished(name).endswith(f"sfmrl rl --resume '{name}'{trust}")
-        assert f"by --resume '{name}'{trust}" in in_process("rl", "--from-scratch", "--run", str(name)).stderr
+        assert f"with --resume '{name}'{trust}" in in_process("rl", "--from-scratch", "--run", str(name)).stderr
 
 
 def test_results_go_to_standard_output_and_what_to_do_next_to_standard_error(sfmrl: Call, tmp_path: Path):
