@@ -55,7 +55,7 @@ def test_a_size_is_kept_in_a_pipe(sfmrl):
 @pytest.mark.parametrize(
     ("words", "parts"),
     [
-        (("--svg", "none/a.svg"), ("no folder none", "--svg a.svg")),
+        (("--svg", "none/a.svg"), ("no folder none", "another --svg")),
         (("--cast", "."), (". is not a regular file",)),
         (("--cast", "a", "--svg", "a"), ("--svg and --cast", "the same file")),
         (("--cast", "a", "--frames", "3"), ("--frames", "every step")),

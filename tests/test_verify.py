@@ -353,14 +353,6 @@ def test_one_archive_of_one_run_is_told_in_full(sfmrl, copy, tmp_path):
     assert "SHA256SUMS" in done.stdout
 
 
-def test_an_archive_that_this_python_cannot_unpack_safely_is_left_packed(tmp_path, monkeypatch):
-    archive = Path(shutil.make_archive(str(tmp_path / "run"), "tar", tmp_path))
-    monkeypatch.delattr(tarfile, "data_filter")  # Python before 3.11.4
-    with runs_in([archive]) as (runs, (error,)):
-        assert runs == {}
-        assert str(error) == f"{archive} can be unpacked safely from Python 3.11.4 on; unpack it yourself"
-
-
 @pytest.mark.parametrize(
     ("kind", "said"),
     [

@@ -57,9 +57,7 @@ def guarded(who: str, what: str, file: str, call: Callable[[], Any]) -> Any:
     """What `call` returns; raises ConfigError if it raises anything, with the line in `file` where that happened."""
     try:
         return call()
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:
+    except (Exception, SystemExit) as error:
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
         lines += [error.lineno] if isinstance(error, SyntaxError) and error.filename == file else []
         where = f" (line {lines[-1]})" if lines else ""

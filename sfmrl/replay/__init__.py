@@ -9,8 +9,7 @@ An episode first becomes a `Story`, arrays over its moments. A `Replay` of one o
     timeline.py     the time as a line of marks, the latest event as a sentence
     panel.py        the numbers beside the plane
     frames.py       plane, panel and timeline together, and two policies side by side
-    legend.py       what symbols, colours and keys mean
-    screen.py       playback in a terminal, with keys
+    screen.py       playback in a terminal, with keys and a legend
     recordings.py   SVG and asciinema recordings
     picture.py      scenes and episodes as SVG and HTML, for notebooks and web pages
 """

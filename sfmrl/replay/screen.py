@@ -1,4 +1,4 @@
-"""Play pictures in a terminal in real time, with keys to pause, step and change the speed.
+"""Play pictures in a terminal in real time, with keys to pause, step and change the speed, and a legend over them.
 
 The effect of a key is a pure function of the player. The display is Rich's, on the terminal's alternate screen; keys
 are read one at a time if standard input is a terminal and the system has termios. A picture is drawn again when the
@@ -12,18 +12,39 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
 from sfmrl.replay.canvas import Style, first_fitting, fitted, shortened, to_ascii
-from sfmrl.replay.legend import with_legend
+from sfmrl.replay.panel import SHADES
 
 SPEEDS = (0.01, 64.0)  # times real time, the slowest and the fastest
 LONGEST_WAIT = 0.2  # s between two checks whether the terminal was resized
 STEP_KEYS = {",": -1, "\x1b[D": -1, ".": 1, "\x1b[C": 1}  # comma and full stop, or the arrow keys
 HINTS = "? legend  q quit  space pause  , . step  + - speed"  # the most important ones first
+LEGEND_COLUMNS, SYMBOL_COLUMNS = 40, 8  # of the legend, and of the symbols in it
+LEGEND = (
+    ("@", Style.ROBOT, "robot, and where it was"),
+    ("★", Style.GOAL, "robot's goal; goal reached"),
+    ("1 2 a", Style.PERSON, "people, and where they were"),
+    ("█", Style.SQUARE, "square, with its number"),
+    ("→", "", "velocity"),
+    ("⇒", Style.FORCE, "repulsion on the robot"),
+    ("magenta", Style.MOST_ATTENTION, "gets the most attention"),
+    (f"{SHADES} o", "", "values of actions; o is next"),
+    ("━●─", "", "timeline; ● is now"),
+    ("!", Style.DANGER, "too close to an element"),
+    ("~", Style.DELAY, "stuck: led around squares"),
+    ("X", Style.DANGER, "collision"),
+    ("T", Style.DELAY, "time is up"),
+    ("space", Style.PERSON, "pause, resume"),
+    (", .", Style.PERSON, "one step back, ahead"),
+    ("+ -", Style.PERSON, "faster, slower"),
+    ("q", Style.PERSON, "quit"),
+)
 
 
 @dataclass(frozen=True)
@@ -122,9 +143,22 @@ def _with_hints(picture: Text, player: Player, console: Console) -> Group:
     status = Text(player.status, Style.DIM)
     words = first_fitting(shortened(HINTS, "  "), columns - status.cell_len - 2)
     if player.legend:
-        picture, words = with_legend(picture, columns, max(console.height - 1, 1)), "any key closes the legend"
+        picture, words = _with_legend(picture, columns, max(console.height - 1, 1)), "any key closes the legend"
     shown = picture, fitted(Text(f" {words}", Style.DIM), columns, status)
     return Group(*map(to_ascii, shown) if ascii_only else shown)
+
+
+def _with_legend(picture: Text, columns: int, lines: int) -> Text:
+    """The picture with the legend over its upper left corner, in at most `columns` x `lines`."""
+    entries = [Text.assemble(fitted(Text(symbol, style), SYMBOL_COLUMNS), words) for symbol, style, words in LEGEND]
+    box = [
+        Text("╭─ legend ".ljust(LEGEND_COLUMNS - 1, "─") + "╮", Style.DIM),
+        *(Text.assemble(("│ ", Style.DIM), fitted(entry, LEGEND_COLUMNS - 4), (" │", Style.DIM)) for entry in entries),
+        Text("╰".ljust(LEGEND_COLUMNS - 1, "─") + "╯", Style.DIM),
+    ]
+    box = [fitted(line, min(columns, LEGEND_COLUMNS)) for line in box[:lines]]
+    both = zip_longest(box, picture.split(allow_blank=True), fillvalue=Text())
+    return Text("\n", no_wrap=True).join(Text.assemble(over, under[len(over) :]) for over, under in both)
 
 
 @contextmanager
