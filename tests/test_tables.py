@@ -276,8 +276,13 @@ def test_what_the_two_ingredients_change():
     assert forces["mean"] == pytest.approx(0.125)
     assert forces["high"] == pytest.approx(0.125 + 0.025 * 12.7062, abs=1e-4)  # t of one degree of freedom
     assert found["SFM reward", "success"]["values"] == pytest.approx([-0.1, -0.05])
+    assert forces["p"] == pytest.approx(scipy.stats.ttest_1samp([0.1, 0.15], 0).pvalue)
+    known = [c for c in contrasts(rows) if c["p"] is not None]
+    by_p = sorted(known, key=lambda c: c["p"])
+    steps = [min(1.0, c["p"] * (len(by_p) - rank)) for rank, c in enumerate(by_p)]
+    assert [c["p_holm"] for c in by_p] == pytest.approx(list(np.maximum.accumulate(steps)))
     sheet = sheets(summarise(TABLES[1], rows), contrasts(rows), "Table 1")[-1]
-    assert ["episodes until validation 0.9", "- (-)", "- (-)"] in [list(line.values()) for line in sheet.lines]
+    assert ["episodes until validation 0.9", "-", "-"] in [list(line.values()) for line in sheet.lines]
     del rows["sarl-sfm6"]
     assert contrasts(rows) == []
 

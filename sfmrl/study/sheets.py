@@ -75,7 +75,7 @@ def interval(figure: dict[str, Any], form: Callable[[float], str] = rate) -> str
 
 def estimate(figure: dict[str, Any] | None, form: Callable[[float], str] = rate) -> str:
     """Write a difference with its interval in brackets; "-" for none."""
-    return "-" if figure is None else f"{form(figure['mean'])} ({interval(figure, form)})"
+    return "-" if figure is None or figure["mean"] is None else f"{form(figure['mean'])} ({interval(figure, form)})"
 
 
 def rate_interval(mean: float, low: float | None, high: float | None) -> str:

@@ -241,7 +241,10 @@ def _less_sarl(table: Table, name: str, rows: dict[str, Figures]) -> dict[str, A
 
 
 def contrasts(rows: dict[str, Figures]) -> list[dict[str, Any]]:
-    """Return the effect of each ingredient on each metric, paired by the seeds that all four rows have."""
+    """Return the effect of each ingredient on each metric, paired by the seeds that all four rows have.
+
+    Its mean is None if one of these trainings lacks the metric: it would be that of the better ones alone.
+    """
     names = {name for pairs in CONTRASTS.values() for pair in pairs for name in pair}
     if not names <= set(rows):
         return []
@@ -250,5 +253,9 @@ def contrasts(rows: dict[str, Figures]) -> list[dict[str, Any]]:
     for ingredient, pairs in CONTRASTS.items():
         for metric in CONTRASTED:
             by_seed = np.mean([rows[a].of(metric, shared) - rows[b].of(metric, shared) for a, b in pairs], axis=0)
-            effects.append({"of": ingredient, "in": metric, **_over_seeds(by_seed, *_bounds(metric, -1.0))})
+            by_seed = by_seed if np.isfinite(by_seed).all() else np.full(len(by_seed), np.nan)
+            figure = _over_seeds(by_seed, *_bounds(metric, -1.0))
+            p = None if figure["low"] is None else mean_difference(by_seed)["p"]
+            effects.append({"of": ingredient, "in": metric, **figure, "p": p})
+    holm(effect for effect in effects if effect["p"] is not None)
     return effects

@@ -30,7 +30,7 @@ class Table:
     """One of the paper's tables: where and how long its rows are trained, how they are tested, and the paper's figures.
 
     `episodes` are training episodes by preset. `paper` holds a row's success, collision rate, navigation time (s) and
-    total reward, each with a value for each of the paper's runs (it trained SARL twice).
+    total reward, each with a value for each of the paper's results (two of SARL).
     """
 
     environment: str
