@@ -6,6 +6,7 @@ of the crowd serves all 81.
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -52,6 +53,12 @@ class SarlPolicy:
         self.trap_steps = int(config.careful)  # how many steps deep the traps are that it avoids
         self._terms = reward_terms(config.reward)
         self._pool = ThreadPoolExecutor(threads)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"_pool": None}  # for copies, also on another process: threads cannot be pickled
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _pool=ThreadPoolExecutor(state["threads"]))
 
     def __repr__(self) -> str:
         state = "17 columns, with forces" if self.config.forces else "13 columns"

@@ -7,6 +7,7 @@ paper's formulas, time-outs have no case (they are worth 0, as in CrowdNav), and
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -128,7 +129,7 @@ def reward_terms(reward: str | Reward | OwnReward) -> Callable[[Transition], Ter
     finite; UntrustedReward if only a file names it.
     """
     if callable(reward):
-        return _own_terms(reward, Reward(), name_of(reward))
+        return partial(_own_terms, reward, Reward(), name_of(reward))
     if not isinstance(reward, (str, Reward)):
         raise ConfigError(
             f"reward is {kind(reward)}; it takes a name, a Reward, or a function of (transition, settings)"
@@ -136,13 +137,13 @@ def reward_terms(reward: str | Reward | OwnReward) -> Callable[[Transition], Ter
     settings = Reward(reward=reward) if isinstance(reward, str) else reward
     name = settings.reward
     if name in REWARDS:
-        return lambda transition: REWARDS[name](transition, settings)
+        return partial(REWARDS[name], p=settings)  # not a lambda, so that policies can be pickled
     if ":" not in name:
         known = ", ".join(REWARDS)
         raise ConfigError(
             f"there is no reward {name!r}; choose {known}, or your own as file.py:function{suggest(name, REWARDS)}"
         )
-    return _own_terms(load(name), settings, name)
+    return partial(_own_terms, load(name), settings, name)
 
 
 def total(terms: Terms) -> np.ndarray:
@@ -150,11 +151,7 @@ def total(terms: Terms) -> np.ndarray:
     return cast(np.ndarray, sum(terms.values()))  # there is always a term
 
 
-def _own_terms(own: OwnReward, settings: Reward, name: str) -> Callable[[Transition], Terms]:
-    who, file = f"reward {name}", source(own)
-
-    def terms(transition: Transition) -> Terms:
-        paid = guarded(who, "failed", file, lambda: own(read_only(transition), settings))
-        return {"reward": checked_array(who, own, paid, np.shape(transition.outcome), "one number per transition")}
-
-    return terms
+def _own_terms(own: OwnReward, settings: Reward, name: str, transition: Transition) -> Terms:
+    who = f"reward {name}"
+    paid = guarded(who, "failed", source(own), lambda: own(read_only(transition), settings))
+    return {"reward": checked_array(who, own, paid, np.shape(transition.outcome), "one number per transition")}

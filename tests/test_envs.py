@@ -353,3 +353,12 @@ def test_a_unicycle_drives_and_turns_as_it_is_told_and_on_the_spot():
     observation, *_ = env.step(np.array([0.0, -0.5], dtype=np.float32))
     assert observation["robot"][2] == pytest.approx(np.pi / 8, abs=0.02)  # theta: heading less the angle to the goal
     assert np.hypot(*env.crowd.world.velocity[0, 0]) == pytest.approx(0.5)
+
+
+def test_what_cannot_be_is_refused_by_name():
+    env, envs = gymnasium.make(NAME, render_mode="ansi"), gymnasium.make_vec(NAME, num_envs=2, render_mode="rgb_array")
+    for not_begun in (env.unwrapped, envs.unwrapped):
+        with pytest.raises(RuntimeError, match="render was called before reset"):
+            not_begun.render()
+    with pytest.raises(TypeError, match="as_sb3 takes gymnasium"):
+        as_sb3(env)

@@ -1,5 +1,7 @@
 """The 81 actions, SARL's care (collisions, traps, nothing within reach), and the policy that goes straight."""
 
+import pickle
+
 import numpy as np
 import pytest
 from conftest import DATA
@@ -11,6 +13,7 @@ from sfmrl.fast import new_network
 from sfmrl.geometry import length
 from sfmrl.lookahead import SarlPolicy, world_states
 from sfmrl.network import ValueNetwork
+from sfmrl.recovery import with_recovery
 from sfmrl.rewards import COLLISION, reward_terms, total
 from sfmrl.scenes import Scenes, sample_scenes
 from sfmrl.states import robot_states
@@ -112,3 +115,13 @@ def test_a_network_and_a_config_of_different_columns_are_refused():
     for forces in (False, True):
         with pytest.raises(ConfigError, match=rf"the config has forces {forces}, the network {not forces}"):
             SarlPolicy(new_network(Config(forces=not forces)), Config(forces=forces))
+
+
+@pytest.mark.parametrize("reward", ["crowd", "sfm"])
+@pytest.mark.parametrize("recover", [False, True])
+def test_a_policy_can_be_copied_to_another_process(reward, recover):
+    config = make_config(reward={"reward": reward}, planner={"recover": recover})
+    policy = with_recovery(SarlPolicy(new_network(config), config), config.planner)
+    scenes = sample_scenes("table1", 3)
+    there = play(scenes, pickle.loads(pickle.dumps(policy)), reward=reward)
+    np.testing.assert_array_equal(there.position, play(scenes, policy, reward=reward).position)

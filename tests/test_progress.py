@@ -1,5 +1,6 @@
 """Signals sent to real processes, in a terminal and without: the exit code, the one line, the terminal afterwards."""
 
+import errno
 import io
 import os
 import select
@@ -12,6 +13,7 @@ import pytest
 from conftest import environment
 from rich.console import Console
 
+from sfmrl.runs.folders import in_training, locked
 from sfmrl.runs.progress import SIGNALS, StopSignal, held_back, show_progress
 
 termios = pytest.importorskip("termios")
@@ -153,3 +155,12 @@ def test_progress_in_a_pipe_is_a_line_after_two_seconds_and_then_every_ten(monke
             advance(10)
     lines = ["test: 20 of 100, 6.7/s, 12 s left", "test: 40 of 100, 3.0/s, 20 s left"]
     assert console.file.getvalue().splitlines() == lines
+
+
+def test_a_file_system_without_locks_trains_all_the_same(tmp_path, monkeypatch):
+    def flock(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", flock)
+    with locked(tmp_path):
+        assert not in_training(tmp_path)

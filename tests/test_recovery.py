@@ -1,5 +1,8 @@
 """Recovery: it leads out of dead ends, and leaves a robot that makes progress to its policy."""
 
+import copy
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -12,7 +15,7 @@ from sfmrl.recovery import RecoveringPolicy, with_recovery
 from sfmrl.recovery.policy import straight_way_is_free
 from sfmrl.recovery.remembering import RememberingPolicy
 from sfmrl.scenes import Scenes, sample_scenes
-from sfmrl.world import reset
+from sfmrl.world import crowd_velocities, reset
 
 ON = Planner(recover=True)
 
@@ -115,3 +118,14 @@ def test_a_test_with_recovery_takes_from_the_one_without_what_both_have_in_commo
     for record, other in zip(play_both(RememberingPolicy(ValueNetwork(), config)), expected, strict=True):
         np.testing.assert_array_equal(record, other)
     assert sum(judged) < 0.9 * states
+
+
+def test_a_policy_with_recovery_plays_in_one_thread_and_a_copy_in_another():
+    scenes, policy = sample_scenes("2", 2), RecoveringPolicy(orca_policy, ON)
+    world = reset(scenes)
+    policy.begin(scenes, Simulation())
+    with ThreadPoolExecutor(1) as pool:
+        with pytest.raises(ValueError, match="another thread"):
+            pool.submit(policy, world, crowd_velocities(world)).result()
+        record = pool.submit(play_episodes, scenes, copy.copy(policy), Reward(), Simulation()).result()
+    np.testing.assert_array_equal(record.steps, play_episodes(scenes, policy, Reward(), Simulation()).steps)

@@ -126,6 +126,19 @@ def test_what_was_changed_is_found_out(copy, what):
     assert names <= wrong(copy / "rl")
 
 
+@pytest.mark.parametrize("everywhere", [False, True])
+def test_forged_total_rewards_are_found_out(copy, everywhere):
+    run = copy / "rl"
+    rows, kept = read_table(run / "test.csv"), json.loads((run / "result.json").read_text())
+    rows = [row | {"total_reward": float(row["total_reward"]) + 0.1} for row in rows]
+    (run / "test.csv").write_text(csv_text(rows))
+    if everywhere:
+        kept["total_reward"] = float(np.mean([row["total_reward"] for row in rows]))
+        (run / "result.json").write_text(json.dumps(kept))
+    forge_sums(run)
+    assert wrong(run) == ({"replay"} if everywhere else {"result.json", "replay"})
+
+
 def test_tables_and_digests_forged_together_are_found_out_by_playing_again(copy):
     """One more success (or one less), in test.csv, or everywhere, with the digests computed anew."""
     run = copy / "rl"
@@ -137,6 +150,9 @@ def test_tables_and_digests_forged_together_are_found_out_by_playing_again(copy)
     assert wrong(run) == {"result.json", "replay"}
     ends = [row["outcome"] for row in rows]
     kept |= {name: ends.count(name) / 6 for name in RATES}
+    kept["total_reward"] = float(np.mean([float(row["total_reward"]) for row in rows]))
+    times = [float(row["time"]) for row in rows if row["outcome"] == "success"]
+    kept["navigation_time"] = float(np.mean(times)) if times else None
     kept["failures"] = [{"episode": n, "outcome": end} for n, end in enumerate(ends) if end != "success"]
     (run / "result.json").write_text(json.dumps(kept))
     forge_sums(run)

@@ -24,9 +24,10 @@ ROWS_WITH_INTERVALS = 7  # of metrics; more rows have a line each
 
 class _Console(Console):
     def on_broken_pipe(self) -> None:
-        """End quietly when the reader of a pipe has seen enough."""
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise typer.Exit(0)
+        """End quietly when the reader of results has seen enough; without a reader of messages, work on in silence."""
+        os.dup2(os.open(os.devnull, os.O_WRONLY), (sys.stderr if self.stderr else sys.stdout).fileno())
+        if not self.stderr:
+            raise typer.Exit(0)
 
 
 out = _Console(highlight=False, emoji=False)
@@ -132,7 +133,7 @@ def check_new_files(overwrite: bool, **paths: Path | None) -> None:
             raise ConfigError(f"there is no folder {path.parent} for --{flag}; make it, or name another --{flag}")
         if not os.access(path.parent, os.W_OK):
             raise ConfigError(f"cannot write to folder {path.parent}; name another --{flag}")
-        if (other := named.setdefault(path.resolve(), flag)) != flag:
+        if (other := named.setdefault(Path(os.path.realpath(path)), flag)) != flag:
             raise ConfigError(f"--{other} and --{flag} name the same file; each needs its own")
 
 

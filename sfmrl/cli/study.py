@@ -1,5 +1,6 @@
 """The commands that make tables and figures: `sfmrl table`, `sfmrl figure`, `sfmrl plot`."""
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -153,7 +154,7 @@ def figure(
     tables = [target for target in targets if target in ("1", "2")]
     if tables and len(targets) > 1:
         raise ConfigError(f"figure draws one table, or runs; it got {', '.join(targets)}")
-    if len({Path(target).resolve() for target in targets}) < len(targets):
+    if len({os.path.realpath(target) for target in targets}) < len(targets):
         raise ConfigError(f"figure takes each run once; it got {', '.join(targets)}")
     lines = table_validations(selection.finished(int(tables[0]))) if tables else run_validations(targets)
     if not (out or csv):

@@ -178,7 +178,13 @@ def _say_start(run: Any) -> None:
 
 def on_run(command: str, run: Any) -> str:
     """Return what to type to use a run, quoted for the shell, with --trust-reward if its reward is the user's own."""
-    return f"sfmrl {command} {as_words(run.folder)}"
+    from sfmrl.own_code import names_code
+    from sfmrl.policies import POLICIES
+    from sfmrl.runs.weights import model_names
+
+    name = str(run.folder)  # of a run that is called like a policy, sfmrl eval would take that one
+    here = "./" if name in (*POLICIES, *model_names()) or names_code(name) else ""
+    return f"sfmrl {command} {here}{as_words(run.folder)}"
 
 
 def _already_finished(run: Any) -> bool:

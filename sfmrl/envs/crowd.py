@@ -109,10 +109,14 @@ class Crowd:
             self.following = int(rng.integers(FIRST))
         self.world, self.labels = self._next(self.count)
 
+    def check_started(self, called: str) -> None:
+        """Raise RuntimeError, with what was `called`, before the first `start`."""
+        if self.following is None:
+            raise RuntimeError(f"{called} was called before reset; call reset first")
+
     def step(self, action: np.ndarray) -> tuple[Transition, np.ndarray]:
         """Move everybody; returns the transition and the reward of each episode, (E,)."""
-        if self.following is None:
-            raise RuntimeError("step was called before reset; call reset first")
+        self.check_started("step")
         velocity = robot_velocity(self.world, action)
         step = transition(self.world, drive(self.world, velocity))
         self.world = advance(self.world, crowd_velocities(self.world), velocity)

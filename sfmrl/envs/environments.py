@@ -92,6 +92,7 @@ class CrowdEnv(Env):
 
     def render(self) -> str | np.ndarray | None:
         """The moment as 24 lines of text ("ansi") or as an image, uint8 (400, 400, 3) ("rgb_array")."""
+        self.crowd.check_started("render")
         if self.render_mode == "ansi":
             return as_text(self.crowd, self._past)
         return as_image(self.crowd.world, 0) if self.render_mode else None
@@ -146,6 +147,7 @@ class CrowdVectorEnv(VectorEnv):
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """An image of each episode, uint8 (400, 400, 3)."""
+        self.crowd.check_started("render")
         return tuple(as_image(self.crowd.world, e) for e in range(self.num_envs)) if self.render_mode else None
 
 

@@ -9,11 +9,17 @@ from sfmrl.envs.environments import CrowdVectorEnv
 
 
 def as_sb3(envs: CrowdVectorEnv) -> Any:
-    """A vector environment as a Stable-Baselines3 VecEnv; raises ImportError without Stable-Baselines3."""
+    """A vector environment as a Stable-Baselines3 VecEnv.
+
+    Raises ImportError without Stable-Baselines3, TypeError for other environments, also in Gymnasium's wrappers.
+    """
     try:
         from stable_baselines3.common.vec_env import VecEnv
     except ImportError:
         raise ImportError("as_sb3 needs Stable-Baselines3; install it with: pip install stable-baselines3") from None
+    if not isinstance(envs, CrowdVectorEnv):
+        taken = "gymnasium.make_vec('sfmrl.envs:sfmrl/Crowd-v0', num_envs=N)"
+        raise TypeError(f"as_sb3 takes {taken}, not {type(envs).__name__}; wrap what it returns, as with VecMonitor")
 
     class CrowdVecEnv(VecEnv):
         """The adapter; all episodes share one simulator, so none has attributes or methods of its own."""

@@ -3,8 +3,9 @@
 import tarfile
 import tempfile
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from itertools import accumulate
 from pathlib import Path
 
 from sfmrl.config import ConfigError
@@ -64,11 +65,11 @@ def _unpack(path: Path, folder: Path) -> None:
     try:
         if tarfile.is_tarfile(path):  # first: a tar file that holds an .npz looks like a .zip, too
             with tarfile.open(path) as tar:
-                _check_size(path, sum(member.size for member in tar))
+                _check_size(path, (member.size for member in tar))
                 tar.extractall(folder, filter="data")  # a TypeError before Python 3.11.4
         else:
             with zipfile.ZipFile(path) as packed:
-                _check_size(path, sum(member.file_size for member in packed.infolist()))
+                _check_size(path, (member.file_size for member in packed.infolist()))
                 for member in packed.infolist():
                     member.filename = member.filename.replace("\\", "/")  # Windows PowerShell writes \ between folders
                     packed.extract(member, folder)
@@ -78,6 +79,9 @@ def _unpack(path: Path, folder: Path) -> None:
         raise ConfigError(f"{path} is neither a run folder nor an archive that can be unpacked: {error}") from None
 
 
-def _check_size(path: Path, size: int) -> None:
-    if size > LARGEST:
-        raise ConfigError(f"{path} would unpack to {size / 2**30:.1f} GiB; pack the run folder alone, a few megabytes")
+def _check_size(path: Path, sizes: Iterable[int]) -> None:
+    """Raise ConfigError once the sizes add up to too much: to read on to the end could take hours."""
+    for size in accumulate(sizes):
+        if size > LARGEST:
+            unpacked = f"{path} would unpack to {size / 2**30:.1f} GiB or more"
+            raise ConfigError(f"{unpacked}; pack the run folder alone, a few megabytes")

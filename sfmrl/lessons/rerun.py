@@ -21,6 +21,7 @@ from sfmrl.runs.training import play_evaluation
 from sfmrl.runs.weights import load_weights
 
 TIME_TOLERANCE = 0.05  # where the bits differ, the largest median difference of the episodes' times, as a share
+REWARD_TOLERANCE = 1e-6  # where they are alike, of each total reward, absolute or as a share
 
 
 class Disagreement(Exception):
@@ -31,9 +32,9 @@ class Disagreement(Exception):
 class Rerun:
     """Plays at most `episodes` of a run's episodes again, of which a share of `tolerance` may end differently.
 
-    `alike` says whether this machine computes the bits of the run. If so, an episode with another number of steps
-    counts as ending differently; if not, times are held to `TIME_TOLERANCE`. The methods return a sentence on what
-    agrees, or raise Disagreement.
+    `alike` says whether this machine computes the bits of the run. If so, an episode with another number of steps or
+    another total reward counts as ending differently; if not, times are held to `TIME_TOLERANCE`. The methods return a
+    sentence on what agrees, or raise Disagreement.
     """
 
     episodes: int
@@ -64,9 +65,10 @@ class Rerun:
         stored = read_table(run.folder / "test.csv")[: len(record.steps)]
         again = [{key: str(value) for key, value in row.items()} for row in episode_rows(record)]
         outcome, steps = (np.array([row[key] for row in stored]) for key in ("outcome", "steps"))
+        reward = np.array([row["total_reward"] for row in stored]).astype(float)
         whole = counted(run.config.reinforcement.test_episodes, "test episode")
         what = f"of {whole}, played by {WEIGHTS} alone,"
-        return self.judged(what, record, outcome, steps.astype(int), stored == again)
+        return self.judged(what, record, outcome, steps.astype(int), stored == again, reward)
 
     def recovery(self, run: Run) -> str:
         """Compare test episodes with recovery with the list of their failures, all of them that is on file."""
@@ -82,12 +84,23 @@ class Rerun:
         return play_evaluation(policy, "test", min(self.episodes, config.reinforcement.test_episodes), self.progress)
 
     def judged(
-        self, what: str, again: Record, outcome: np.ndarray, steps: np.ndarray | None = None, exact: bool = False
+        self,
+        what: str,
+        again: Record,
+        outcome: np.ndarray,
+        steps: np.ndarray | None = None,
+        exact: bool = False,
+        reward: np.ndarray | None = None,
     ) -> str:
-        """Compare episodes played again with the outcomes and steps on file, (n,); `exact` if all numbers are equal."""
+        """Compare episodes played again with the outcomes, steps and total rewards on file, (n,).
+
+        `exact` if all numbers are equal.
+        """
         differ = outcome != again.outcome
         if steps is not None and self.alike:
             differ |= steps != again.steps
+            if reward is not None:
+                differ |= ~np.isclose(reward, again.discounted_return, rtol=REWARD_TOLERANCE, atol=REWARD_TOLERANCE)
         elif steps is not None:
             off = np.abs(again.steps / np.maximum(steps, 1) - 1)[~differ]
             if off.size and np.median(off) > TIME_TOLERANCE:

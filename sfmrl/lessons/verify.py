@@ -3,9 +3,11 @@
 Forged digests can pass the first check, but not the second.
 """
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from sfmrl.config import ConfigError, counted
@@ -194,11 +196,18 @@ def _began(run: Run) -> str | Finding:
 def _rates(run: Run) -> str:
     """The rates in result.json are those of its tables and of its lists of failures."""
     result, whole = result_of(run), run.config.reinforcement.test_episodes
-    tested = [row["outcome"] for row in read_table(run.folder / "test.csv")]
+    rows = read_table(run.folder / "test.csv")
+    tested = [row["outcome"] for row in rows]
     sources = [(result, "its failures", outcomes(result, whole)), (result, "test.csv", tested)]
     if recovering := result.get("with_recovery"):
         sources += [(recovering, "its failures", outcomes(recovering, whole))]
     for rates, source, ends in sources:
         if len(ends) != whole or any(round(rates[rate] * whole) != ends.count(rate) for rate in RATES):
             raise Disagreement(f"its rates are not those of {counted(whole, 'episode')} in {source}")
+    means = {"navigation_time": [float(row["time"]) for row in rows if row["outcome"] == "success"]}
+    means["total_reward"] = [float(row["total_reward"]) for row in rows]
+    for name, values in means.items():
+        equal = math.isclose(result[name], fmean(values)) if values else result[name] is None
+        if not equal:
+            raise Disagreement(f"its {name} is not the mean in test.csv")
     return ", ".join(f"{name} {result[name]:.3f}" for name in RATES)

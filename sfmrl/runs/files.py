@@ -4,6 +4,7 @@ SHA256SUMS has the format of the command `sha256sum`, so that command can check 
 """
 
 import csv
+import errno
 import hashlib
 import io
 import os
@@ -54,6 +55,9 @@ def write_together(folder: Path, files: dict[str, bytes], *, checked: bool = Tru
         descriptor = os.open(folder, os.O_RDONLY)
         try:
             os.fsync(descriptor)
+        except OSError as error:
+            if error.errno != errno.EINVAL:  # of file systems that cannot sync a folder, as some network shares
+                raise
         finally:
             os.close(descriptor)
 
@@ -76,14 +80,15 @@ def write_atomically(path: Path, data: bytes, *, checked: bool = True) -> str:
     A symbolic link is replaced if `checked`; otherwise, the file that it names is written.
     """
     if path.is_symlink() and not checked:
-        path = path.resolve()
+        path = Path(os.path.realpath(path))  # resolve() fails on a link to itself
     write_together(path.parent, {path.name: data}, checked=checked)
     return sha256(data)
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file atomically, without a digest."""
-    write_atomically(path, text.encode(), checked=False)
+    data = text.encode(errors="backslashreplace")  # names of files need not be UTF-8
+    write_atomically(path, data, checked=False)
 
 
 def remove_checked(paths: list[Path]) -> None:

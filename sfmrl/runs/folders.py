@@ -120,6 +120,8 @@ def locked(folder: Path) -> Iterator[None]:
                     said = f"{folder} is being trained by another process; wait for it, or stop it"
                     raise ConfigError(said) from None
                 time.sleep(0.05)
+            except OSError:  # of file systems without locks, as Lustre is by default
+                break
         yield
 
 
