@@ -6,7 +6,8 @@ Rewards and returns are computed from the record afterwards, so one set of episo
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -26,6 +27,8 @@ from sfmrl.world import World, advance, crowd_velocities, drive, motion, reset, 
 
 BATCH = 256  # episodes side by side, unless a policy has its own number
 TOLERANCE = 1e-4  # m/s by which a policy may exceed v_pref: ORCA computes in float32
+
+_playing: set[int] = set()  # ids of the policies with `begin` that are playing
 
 Arrays = dict[str, np.ndarray]
 
@@ -160,10 +163,9 @@ def play_episodes(
     needed = 8 * count * simulation.longest * (5 * rows + 9)  # bytes of all that is recorded
     if needed > memory_size():
         raise MemoryError(f"{count} episodes of up to {simulation.longest} steps need {needed / 1e9:.1f} GB")
-    if begin := getattr(policy, "begin", None):
-        begin(scenes, simulation)
-    batch = int(in_range("batch", getattr(policy, "batch", BATCH) if batch is None else batch, 1, math.inf))
-    moments, parts, notes = _recorded(reset(scenes, simulation), policy, terms, batch, keep, progress)
+    with _begun(policy, scenes, simulation):
+        batch = int(in_range("batch", getattr(policy, "batch", BATCH) if batch is None else batch, 1, math.inf))
+        moments, parts, notes = _recorded(reset(scenes, simulation), policy, terms, batch, keep, progress)
     steps = 1 + (parts["outcome"] != RUNNING).argmax(1)
     most = int(steps.max(initial=0))
     played = Transition(**parts)[:, :most]
@@ -175,6 +177,24 @@ def play_episodes(
     return Record(
         scenes, simulation, steps, transition=played, reward=rewards, discounted_return=returns, notes=notes, **moments
     )
+
+
+@contextmanager
+def _begun(policy: Policy, scenes: Scenes, simulation: Simulation) -> Iterator[None]:
+    """Call the policy's `begin`, if it has one; raises ConfigError while another thread plays with the same policy.
+
+    Both would go on with what the later `begin` has prepared, and their numbers would be wrong.
+    """
+    begin = getattr(policy, "begin", None)
+    if begin and id(policy) in _playing:
+        raise ConfigError(f"policy {name_of(policy)} is playing in another thread; give each thread a copy.copy of it")
+    try:
+        if begin:
+            _playing.add(id(policy))
+            begin(scenes, simulation)
+        yield
+    finally:
+        _playing.discard(id(policy))
 
 
 def _recorded(

@@ -4,9 +4,10 @@ The people's next states come from the simulator, as in CrowdNav. They do not de
 of the crowd serves all 81.
 """
 
+import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
 
 import numpy as np
 
@@ -52,13 +53,6 @@ class SarlPolicy:
             raise ConfigError(f"{differ}; give the config that the network was trained with")
         self.trap_steps = int(config.careful)  # how many steps deep the traps are that it avoids
         self._terms = reward_terms(config.reward)
-        self._pool = ThreadPoolExecutor(threads)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"_pool": None}  # for copies, also on another process: threads cannot be pickled
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state, _pool=ThreadPoolExecutor(state["threads"]))
 
     def __repr__(self) -> str:
         state = "17 columns, with forces" if self.config.forces else "13 columns"
@@ -89,7 +83,8 @@ class SarlPolicy:
         """The values and outcomes (E, A) of actions (E, A, 2) in m/s, computed in blocks on all threads."""
         size = max(1, min(BLOCK, -(-len(world) // self.threads)))
         blocks = [slice(e, e + size) for e in range(0, max(len(world), 1), size)]
-        parts = self._pool.map(lambda rows: self._values(world.take(rows), crowd_velocity[rows], actions[rows]), blocks)
+        pool = _pool(self.threads, os.getpid())
+        parts = pool.map(lambda rows: self._values(world.take(rows), crowd_velocity[rows], actions[rows]), blocks)
         values, outcome = (np.concatenate(part) for part in zip(*parts, strict=True))
         return values, outcome
 
@@ -115,6 +110,12 @@ class SarlPolicy:
             next_value = np.where(step.outcome == COLLISION, 0.0, next_value)
         discount = step_discount(self.config.discount, world.v_pref[:, :1], world.simulation)
         return total(self._terms(step)) + discount * next_value, step.outcome
+
+
+@cache
+def _pool(threads: int, process: int) -> ThreadPoolExecutor:
+    """The threads of a process, by its id: a forked one has none of its parent's, and would wait for them forever."""
+    return ThreadPoolExecutor(threads)
 
 
 def value_alone(config: Config, goal_distance: np.ndarray, radius: np.ndarray) -> np.ndarray:

@@ -22,6 +22,8 @@ from sfmrl.recovery import with_recovery
 from sfmrl.rewards import Transition, reward_terms
 from sfmrl.runs.create import create_run
 from sfmrl.runs.folders import finished
+from sfmrl.runs.progress import StopSignal, no_progress
+from sfmrl.runs.training import run_reinforcement
 from sfmrl.runs.weights import load_weights, save_weights
 from sfmrl.scenes import Scenes, sample_scenes
 from sfmrl.variants import make_config
@@ -343,9 +345,25 @@ def test_a_run_with_a_reward_of_its_own_goes_on_only_if_that_is_trusted(own, com
     for words in (("il", "--resume", "run", "--trust-reward"), ("il", *same, "--run", "run", "--continue")):
         done = command(*words)
         assert done.returncode == 2
-        assert "own.py:calm has changed since run began" in done.stderr
+        assert "own.py:calm has changed since the run began" in done.stderr
     own.write_text(OWN)
     was_run(own)
     assert command("il", "--resume", "run", "--trust-reward").returncode == 0
     assert was_run(own)
     assert finished(Path("run"))
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_reward_that_changes_while_it_trains_ends_the_training(own, tmp_path, threads):
+    schedule = {"episodes": 4, "parallel": 2, "batches": 1, "validation_interval": 2, "validation_episodes": 1}
+    schedule |= {"test_episodes": 1, "environment": "circle5", "test_environment": "circle5"}
+    config = make_config(reward={"reward": f"{own}:calm"}, reinforcement=schedule, simulation={"time_limit": 6.0})
+    run = create_run("rl", config, tmp_path / "rl")
+
+    def edit(said: str) -> None:
+        if said.startswith("validation at episode 2"):
+            own.write_text(own.read_text() + "# edited\n")
+
+    with pytest.raises(ConfigError, match="has changed since the run began; put that file back and resume"):
+        run_reinforcement(run, no_progress, StopSignal(), edit, threads=threads)
+    assert not (run.folder / "test.csv").exists()

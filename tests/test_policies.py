@@ -1,5 +1,7 @@
 """The 81 actions, SARL's care (collisions, traps, nothing within reach), and the policy that goes straight."""
 
+import multiprocessing
+import os
 import pickle
 
 import numpy as np
@@ -13,6 +15,7 @@ from sfmrl.fast import new_network
 from sfmrl.geometry import length
 from sfmrl.lookahead import SarlPolicy, world_states
 from sfmrl.network import ValueNetwork
+from sfmrl.policies import load_policy
 from sfmrl.recovery import with_recovery
 from sfmrl.rewards import COLLISION, reward_terms, total
 from sfmrl.scenes import Scenes, sample_scenes
@@ -125,3 +128,17 @@ def test_a_policy_can_be_copied_to_another_process(reward, recover):
     scenes = sample_scenes("table1", 3)
     there = play(scenes, pickle.loads(pickle.dumps(policy)), reward=reward)
     np.testing.assert_array_equal(there.position, play(scenes, policy, reward=reward).position)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs os.fork")
+def test_a_forked_process_has_threads_of_its_own():
+    scenes, policy = sample_scenes("circle5", 2), load_policy("sarl", threads=2)
+    before = play(scenes, policy)  # starts the threads, which a fork does not copy
+    here, there = multiprocessing.Pipe()
+    child = multiprocessing.get_context("fork").Process(
+        target=lambda: there.send(play(scenes, policy).position), daemon=True
+    )
+    child.start()
+    assert here.poll(60)
+    np.testing.assert_array_equal(here.recv(), before.position)
+    child.join()

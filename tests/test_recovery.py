@@ -6,8 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from sfmrl.config import Config, Planner, Reward, Simulation
-from sfmrl.episodes import play_episodes
+from sfmrl.config import Config, ConfigError, Planner, Reward, Simulation
+from sfmrl.episodes import Record, play_episodes
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import find_policy, linear_policy, orca_policy
@@ -15,7 +15,7 @@ from sfmrl.recovery import RecoveringPolicy, with_recovery
 from sfmrl.recovery.policy import straight_way_is_free
 from sfmrl.recovery.remembering import RememberingPolicy
 from sfmrl.scenes import Scenes, sample_scenes
-from sfmrl.world import crowd_velocities, reset
+from sfmrl.world import reset
 
 ON = Planner(recover=True)
 
@@ -120,12 +120,16 @@ def test_a_test_with_recovery_takes_from_the_one_without_what_both_have_in_commo
     assert sum(judged) < 0.9 * states
 
 
-def test_a_policy_with_recovery_plays_in_one_thread_and_a_copy_in_another():
+def test_a_policy_that_begins_plays_in_one_thread_at_a_time_and_a_copy_in_another():
     scenes, policy = sample_scenes("2", 2), RecoveringPolicy(orca_policy, ON)
-    world = reset(scenes)
-    policy.begin(scenes, Simulation())
     with ThreadPoolExecutor(1) as pool:
-        with pytest.raises(ValueError, match="another thread"):
-            pool.submit(policy, world, crowd_velocities(world)).result()
-        record = pool.submit(play_episodes, scenes, copy.copy(policy), Reward(), Simulation()).result()
-    np.testing.assert_array_equal(record.steps, play_episodes(scenes, policy, Reward(), Simulation()).steps)
+
+        def meanwhile(ended: int) -> None:
+            with pytest.raises(ConfigError, match="is playing in another thread"):
+                pool.submit(play_episodes, scenes, policy, Reward(), Simulation()).result()
+            copies.append(pool.submit(play_episodes, scenes, copy.copy(policy), Reward(), Simulation()).result())
+
+        copies: list[Record] = []
+        record = play_episodes(scenes, policy, Reward(), Simulation(), progress=meanwhile)
+    for each in (*copies, play_episodes(scenes, policy, Reward(), Simulation())):
+        np.testing.assert_array_equal(record.position, each.position)

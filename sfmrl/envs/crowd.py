@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from sfmrl.actions import ACTIONS, robot_actions
-from sfmrl.config import LARGEST_SEED, MOST_EPISODES, Config, Reward, Simulation, in_range
+from sfmrl.config import LARGEST_SEED, MOST_EPISODES, Config, ConfigError, Reward, Simulation, in_range
 from sfmrl.geometry import direction, limit, unit_at
 from sfmrl.lookahead import world_states
 from sfmrl.orca import Edges
@@ -103,6 +103,8 @@ class Crowd:
 
     def start(self, rng: np.random.Generator, seeded: bool, options: dict[str, Any]) -> None:
         """Start the episodes from number `options["episode"]` on, else from a random one if `seeded`, else the next."""
+        if unknown := [name for name in options if name != "episode"]:
+            raise ConfigError(f"reset has no option {unknown[0]!r}; its one option is 'episode', a scene's number")
         if "episode" in options:
             self.following = int(in_range("episode", options["episode"], 0, LARGEST_SEED))
         elif seeded or self.following is None:

@@ -199,11 +199,15 @@ def _rates(run: Run) -> str:
     rows = read_table(run.folder / "test.csv")
     tested = [row["outcome"] for row in rows]
     sources = [(result, "its failures", outcomes(result, whole)), (result, "test.csv", tested)]
+    for name, part in result.get("environments", {}).items():
+        there = [row["outcome"] for row in rows if row["environment"] == name]
+        sources.append((part, f"environment {name} in test.csv", there))
     if recovering := result.get("with_recovery"):
         sources += [(recovering, "its failures", outcomes(recovering, whole))]
     for rates, source, ends in sources:
-        if len(ends) != whole or any(round(rates[rate] * whole) != ends.count(rate) for rate in RATES):
-            raise Disagreement(f"its rates are not those of {counted(whole, 'episode')} in {source}")
+        count = rates["episodes"]
+        if len(ends) != count or any(round(rates[rate] * count) != ends.count(rate) for rate in RATES):
+            raise Disagreement(f"its rates are not those of {counted(len(ends), 'episode')} in {source}")
     means = {"navigation_time": [float(row["time"]) for row in rows if row["outcome"] == "success"]}
     means["total_reward"] = [float(row["total_reward"]) for row in rows]
     for name, values in means.items():

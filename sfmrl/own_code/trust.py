@@ -45,6 +45,13 @@ def code_digest(name: str) -> str | None:
     return hashlib.sha256(Path(file).read_bytes().replace(b"\r\n", b"\n")).hexdigest() if file else None
 
 
+def check_unchanged(name: str, began: str | None) -> None:
+    """Raise ConfigError if the file with the named code has not the SHA-256 that it had when the run `began`."""
+    now = code_digest(name)
+    if began and now and began != now:
+        raise ConfigError(f"{name} has changed since the run began; put that file back and resume, or start a new run")
+
+
 def _module_file(module: str) -> str:
     """The file of a module in one of the folders of sys.path, "" if there is none; imports nothing."""
     for folder in sys.path:

@@ -7,7 +7,6 @@ network look farther ahead for traps than in training. It is used in tests and r
 """
 
 import copy
-from threading import get_ident
 from typing import Any
 
 import numpy as np
@@ -54,7 +53,7 @@ class RecoveringPolicy:
         if hasattr(self.policy, "begin"):
             self.policy.begin(scenes, simulation)
         reach = simulation.longest * simulation.time_step * scenes.v_pref[:, 0]
-        self._geodesics, self._thread = plan(scenes, self.planner, reach), get_ident()
+        self._geodesics = plan(scenes, self.planner, reach)
         self._left = np.full(len(scenes), np.inf)  # m, the path's length at the latest progress
         self._since = np.zeros(len(scenes), dtype=int)  # the step of that progress
         self._stuck = np.zeros(len(scenes), dtype=bool)
@@ -80,8 +79,6 @@ class RecoveringPolicy:
 
     def watch(self, world: World) -> np.ndarray:
         """Record the robots' progress, and return which of them are stuck, (E,) bool."""
-        if self._geodesics is not None and self._thread != get_ident():
-            raise ValueError("this policy with recovery plays in another thread; give each thread a copy.copy of it")
         e = world.episode
         left = self.path_length(world, world.position[:, 0])
         nearer = left <= self._left[e] - self.planner.stall_distance

@@ -18,6 +18,7 @@ from sfmrl.config import Config
 from sfmrl.exploration import Explored, explore
 from sfmrl.fast import FastNetwork, Sizes, new_network
 from sfmrl.lookahead import SarlPolicy
+from sfmrl.own_code.trust import check_unchanged
 from sfmrl.runs.progress import SIGNALS, held_back
 
 
@@ -25,11 +26,13 @@ class Explorer:
     """Plays training episodes with a network, on a second process if `aside`; a context manager.
 
     Threads would not do: the network's operations are many and small, and between them, threads of one process wait for
-    each other. If the second process is killed, this one plays.
+    each other. If the second process is killed, this one plays. `own_reward` is the SHA-256 of the user's own reward.
     """
 
-    def __init__(self, config: Config, threads: int, aside: bool, sizes: Sizes = Sizes()) -> None:
-        self._setup = config, threads, sizes
+    def __init__(
+        self, config: Config, threads: int, aside: bool, sizes: Sizes = Sizes(), own_reward: str | None = None
+    ) -> None:
+        self._setup, self._own_reward = (config, threads, sizes), own_reward
         self._pool = None
         if aside:
             spawn = multiprocessing.get_context("spawn")  # a fork would inherit locks that threads hold
@@ -50,7 +53,7 @@ class Explorer:
         Without a second process, that function plays, with the actor as it is then. With one, the actor must not change
         before that function returns.
         """
-        work, future = partial(_explore, *self._setup, actor.flat, episodes), None
+        work, future = partial(_explore, *self._setup, self._own_reward, actor.flat, episodes), None
         with suppress(BrokenProcessPool):
             future = self._pool and self._pool.submit(work)
 
@@ -82,11 +85,15 @@ def _policy(config: Config, threads: int, sizes: Sizes) -> SarlPolicy:
 
 
 def _warm_up(config: Config, threads: int, sizes: Sizes) -> None:
-    """Import and allocate before the first episode is due; returns nothing, since a policy cannot be pickled."""
+    """Import and allocate before the first episode is due; returns nothing, not even the policy."""
     _policy(config, threads, sizes)
 
 
-def _explore(config: Config, threads: int, sizes: Sizes, weights: np.ndarray, episodes: Sequence[int]) -> Explored:
+def _explore(
+    config: Config, threads: int, sizes: Sizes, own_reward: str | None, weights: np.ndarray, episodes: Sequence[int]
+) -> Explored:
     policy = _policy(config, threads, sizes)
     policy.network.flat[:] = weights
-    return explore(policy, config, episodes)
+    explored = explore(policy, config, episodes)  # which loads the user's own reward
+    check_unchanged(config.reward.reward, own_reward)
+    return explored
