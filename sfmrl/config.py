@@ -160,7 +160,9 @@ class Imitation(Settings):
     epochs: int = knob(50, "passes over the demonstrations", 1, 10_000)
     batch_size: int = knob(100, "states in a batch", 1, 100_000)
     learning_rate: float = knob(0.01, "learning rate", 0, 1000)
-    refit: bool = knob(True, "in rl, fit the demonstrations again if the reward is not that of il (CrowdNav)")
+    refit: bool = knob(
+        True, "in rl, fit the demonstrations again if the reward or another setting of il differs (CrowdNav)"
+    )
     environment: str = knob("1", "environment of the demonstrations, or a mix such as 1:0.7,2:0.3")
 
 
@@ -169,8 +171,10 @@ class Reinforcement(Settings):
     """Deep V-learning; the paper's numbers, CrowdNav's where it gives none."""
 
     episodes: int = knob(10_000, "training episodes", 1, 10_000_000)
-    parallel: int = knob(1, "episodes side by side; from 2 on, while the network learns from those before", 1, 10_000)
-    batches: int = knob(100, "gradient steps per episode, a batch each (CrowdNav)", 0, 10_000)
+    parallel: int = knob(
+        1, "episodes played side by side; if 2 or more, while the network learns from the last ones", 1, 10_000
+    )
+    batches: int = knob(100, "gradient steps per episode, each on one batch (CrowdNav)", 0, 10_000)
     batch_size: int = knob(100, "states in a batch", 1, 100_000)
     learning_rate: float = knob(0.001, "learning rate", 0, 1000)
     epsilon_start: float = knob(0.5, "share of random actions at the start (CrowdNav)", 0, 1)

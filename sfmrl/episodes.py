@@ -28,7 +28,7 @@ from sfmrl.world import World, advance, crowd_velocities, drive, motion, reset, 
 BATCH = 256  # episodes side by side, unless a policy has its own number
 TOLERANCE = 1e-4  # m/s by which a policy may exceed v_pref: ORCA computes in float32
 
-_playing: set[int] = set()  # ids of the policies with `begin` that are playing
+_playing: set[tuple[int, int]] = set()  # processes, and ids of their policies with `begin` that are playing
 
 Arrays = dict[str, np.ndarray]
 
@@ -181,20 +181,20 @@ def play_episodes(
 
 @contextmanager
 def _begun(policy: Policy, scenes: Scenes, simulation: Simulation) -> Iterator[None]:
-    """Call the policy's `begin`, if it has one; raises ConfigError while another thread plays with the same policy.
+    """Call the policy's `begin`, if it has one; raises ConfigError while the same policy is playing already.
 
     Both would go on with what the later `begin` has prepared, and their numbers would be wrong.
     """
-    begin = getattr(policy, "begin", None)
-    if begin and id(policy) in _playing:
-        raise ConfigError(f"policy {name_of(policy)} is playing in another thread; give each thread a copy.copy of it")
+    begin, key = getattr(policy, "begin", None), (os.getpid(), id(policy))  # a forked process plays by itself
+    if begin and key in _playing:
+        raise ConfigError(f"policy {name_of(policy)} is already playing; give each thread a copy.deepcopy of it")
     try:
         if begin:
-            _playing.add(id(policy))
+            _playing.add(key)
             begin(scenes, simulation)
         yield
     finally:
-        _playing.discard(id(policy))
+        _playing.discard(key)
 
 
 def _recorded(

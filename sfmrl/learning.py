@@ -72,7 +72,12 @@ def learn(network: FastNetwork, optimizer: SGD, rate: float, states: np.ndarray,
 
 
 def descend(
-    optimizer: SGD, memory: Memory, batches: list[np.ndarray], rate: float, steps: int, progress: Callable[[int], None]
+    optimizer: SGD,
+    memory: Memory,
+    batches: list[np.ndarray],
+    rate: float,
+    steps: int,
+    progress: Callable[[int], None] = lambda batches: None,
 ) -> float:
     """Take a step of descent on each of the `batches`, indices (B,) in the memory; returns the mean loss.
 
@@ -149,7 +154,7 @@ class Learner(Resumable):
         size = min(settings.batch_size, stored)
         draws = [self.rng.choice(stored, size, replace=False) for _ in range(batches)]
         steps = settings.episodes * settings.batches
-        return descend(self.optimizer, self.memory, draws, settings.learning_rate, steps, lambda batches: None)
+        return descend(self.optimizer, self.memory, draws, settings.learning_rate, steps)
 
     def advance(self, episodes: int) -> None:
         """Count these episodes as learnt from, and renew the target network at its interval."""

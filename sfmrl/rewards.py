@@ -137,7 +137,7 @@ def reward_terms(reward: str | Reward | OwnReward) -> Callable[[Transition], Ter
     settings = Reward(reward=reward) if isinstance(reward, str) else reward
     name = settings.reward
     if name in REWARDS:
-        return partial(REWARDS[name], p=settings)  # not a lambda, so that policies can be pickled
+        return partial(REWARDS[name], p=settings)  # a lambda could not be pickled
     if ":" not in name:
         known = ", ".join(REWARDS)
         raise ConfigError(

@@ -111,9 +111,12 @@ def reset(scenes: Scenes, simulation: Simulation = Simulation()) -> World:
     )
 
 
-def motion(moments: Any) -> dict[str, Any]:
-    """What changes from step to step in a `World` or a record: position, velocity and, of a unicycle, heading."""
-    parts = {name: getattr(moments, name) for name in ("position", "velocity", "heading")}
+def motion(batch: Any) -> dict[str, Any]:
+    """How everybody moves in a `World` or a record, by name: position (m), velocity (m/s) and heading (rad).
+
+    Shapes are (E, ...) of a world, (E, T + 1, ...) of a record; a robot that is no unicycle has no heading.
+    """
+    parts = {name: getattr(batch, name) for name in ("position", "velocity", "heading")}
     return {name: part for name, part in parts.items() if part is not None}
 
 

@@ -355,7 +355,7 @@ def test_a_unicycle_drives_and_turns_as_it_is_told_and_on_the_spot():
     assert np.hypot(*env.crowd.world.velocity[0, 0]) == pytest.approx(0.5)
 
 
-def test_what_cannot_be_is_refused_by_name():
+def test_rendering_before_reset_and_other_environments_for_sb3_are_refused():
     env, envs = gymnasium.make(NAME, render_mode="ansi"), gymnasium.make_vec(NAME, num_envs=2, render_mode="rgb_array")
     for not_begun in (env.unwrapped, envs.unwrapped):
         with pytest.raises(RuntimeError, match="render was called before reset"):

@@ -180,7 +180,7 @@ def test_the_replays_glyphs_blanks_comments_and_indentation_draw_the_same(tmp_pa
         ("R..G\n...b", "m.txt, line 2, column 4: b is the goal of 2, who is missing; draw 2"),
         ("R.G1\n#...", "m.txt, line 1, column 4: the place opposite 1 is a square; draw a, its goal"),
         ("R1.G", "m.txt, line 1, column 2: 1 touches the robot"),
-        ("R.G" + 60 * ".", "m.txt is 63 places wide and 1 high; it may be at most 60 in each"),
+        ("R.G" + 60 * ".", "m.txt is 63 places wide and 1 high; it may be at most 60 by 60"),
         ("R.G" + 60 * "\n.", "m.txt is 3 places wide and 61 high"),
         ("R.G" + 5 * ("\n" + 50 * "#"), "m.txt has 250 squares; it may have at most 200"),
     ],

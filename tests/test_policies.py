@@ -122,7 +122,7 @@ def test_a_network_and_a_config_of_different_columns_are_refused():
 
 @pytest.mark.parametrize("reward", ["crowd", "sfm"])
 @pytest.mark.parametrize("recover", [False, True])
-def test_a_policy_can_be_copied_to_another_process(reward, recover):
+def test_a_policy_with_a_reward_of_the_paper_can_be_pickled(reward, recover):
     config = make_config(reward={"reward": reward}, planner={"recover": recover})
     policy = with_recovery(SarlPolicy(new_network(config), config), config.planner)
     scenes = sample_scenes("table1", 3)

@@ -63,14 +63,14 @@ def trained(success: list[float], episodes: int = 500, seeds: list[int] | None =
     )
 
 
-def write_run(place: Path, row: str, seed: int, success: float) -> None:
+def write_run(place: Path, row: str, seed: int, success: float, first: int = 0) -> None:
     """A finished run's files, as far as a table reads them."""
     run, folder = trained([success], 50), run_folder(place, 1, "quick", row, seed)
     create_run("rl", run_config(1, "quick", row, seed), folder)
     (folder / "weights.npz").touch()
     columns = {name: getattr(run, name)[0].tolist() for name in ("outcome", "hit", "time", "total_reward")}
     rows = [dict(zip(columns, line, strict=True)) for line in zip(*columns.values(), strict=True)]
-    (folder / "test.csv").write_text(csv_text([{"episode": e} | row for e, row in enumerate(rows)]))
+    (folder / "test.csv").write_text(csv_text([{"episode": first + e} | row for e, row in enumerate(rows)]))
     course = [{"episode": e, "success": s} for e, s in zip(EPISODES.tolist(), run.validation[0].tolist(), strict=True)]
     (folder / "validation.csv").write_text(csv_text(course))
     played = [{"outcome": "success" if good else "timeout", "steps": 40 + seed} for good in run.training[0]]
@@ -215,6 +215,29 @@ def test_folders_alone_make_a_row(folder):
     assert set(row.hit.ravel()) == {"", "human", "square"}
     assert read_row(folder, 1, "quick", "sarl-sfm3", [0, 1]) is None
     assert read_row(folder, 2, "quick", "sarl", [0, 1]) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("test.csv", None),
+        ("test.csv", "episode\n0\n"),
+        ("validation.csv", "episode,success\n0,x\n"),
+        ("metrics.csv", "outcome,steps\nsuccess,x\n"),
+        ("metrics.csv", "outcome,steps\nsuccess,9999999999999999999999\n"),
+    ],
+)
+def test_a_run_that_cannot_be_read_is_one_error(folder, name, text):
+    path = run_folder(folder, 1, "quick", "sarl", 0) / name
+    path.unlink() if text is None else path.write_text(text)
+    with pytest.raises(ConfigError, match=r"a run of row sarl under .* cannot be read"):
+        read_row(folder, 1, "quick", "sarl", [0])
+
+
+def test_runs_that_were_tested_on_other_episodes_are_refused(folder):
+    write_run(folder, "sarl", 4, 0.9, first=50)
+    with pytest.raises(ConfigError, match="sarl-seed4 was tested on other episodes"):
+        read_row(folder, 1, "quick", "sarl", [0, 4])
 
 
 def test_means_intervals_and_differences():

@@ -209,7 +209,7 @@ def test_a_reward_in_a_python_file_is_run_only_if_trusted_and_unchanged(copy, tm
     own.rename(tmp_path / "moved.py")
     gone = findings(run)
     assert {name for name, finding in gone.items() if finding.ok is None} == unjudged
-    assert "put it there, then add --trust-reward" in gone["reward"].said
+    assert "put it back, then add --trust-reward" in gone["reward"].said
 
 
 def remade(run: Path, change: Callable[[dict], object], tested: bool = True) -> dict[str, Finding]:
@@ -368,6 +368,14 @@ def test_one_archive_of_one_run_is_told_in_full(sfmrl, copy, tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.splitlines()[-1].startswith("il.tar: .: all ")
     assert "SHA256SUMS" in done.stdout
+
+
+def test_an_archive_that_this_python_cannot_unpack_safely_is_left_packed(tmp_path, monkeypatch):
+    archive = Path(shutil.make_archive(str(tmp_path / "run"), "tar", tmp_path))
+    monkeypatch.delattr(tarfile, "data_filter")  # Python before 3.11.4
+    with runs_in([archive]) as (runs, (error,)):
+        assert runs == {}
+        assert str(error) == f"{archive} can be unpacked safely from Python 3.11.4 on; unpack it yourself"
 
 
 @pytest.mark.parametrize(

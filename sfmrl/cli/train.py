@@ -202,14 +202,13 @@ def _already_finished(run: Any) -> bool:
 
 def _train(run: Any, work: Callable[..., Any]) -> Any:
     """Train; raises Interrupted, which says how to resume, if a stop is requested."""
-    from sfmrl.own_code.trust import check_unchanged
     from sfmrl.rewards import reward_terms
     from sfmrl.runs.bits import machine_bits
     from sfmrl.runs.progress import Interrupted, StopSignal, show_progress
     from sfmrl.runs.run import sole_use
 
     how = on_run(f"{run.kind} --resume", run)
-    check_unchanged(run.config.reward.reward, run.facts.get("own_reward"))
+    run.check_reward()
     reward_terms(run.config.reward)  # raises an error that says why, if it cannot or must not be used
     with sole_use(run), StopSignal(say) as stop:
         if finished(run.folder):

@@ -76,7 +76,7 @@ def _two_threads() -> Finding:
         policy = SarlPolicy(new_network(config, seed=5), config, threads)
         record = play_episodes(sample_scenes("table1", 8), policy, config.reward, config.simulation, batch=batch)
         played.add(record.position.tobytes())
-    said = f"8 episodes end in {'the same' if len(played) == 1 else 'DIFFERENT'} bits as on one"
+    said = f"8 episodes end in {'the same bits as' if len(played) == 1 else 'OTHER bits than'} on one"
     return Finding("two threads", len(played) == 1, said, "train with --threads 1")
 
 

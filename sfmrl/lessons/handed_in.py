@@ -64,9 +64,11 @@ def _unpack(path: Path, folder: Path) -> None:
     """Unpack an archive into an empty folder; members that would leave the folder, links and devices are refused."""
     try:
         if tarfile.is_tarfile(path):  # first: a tar file that holds an .npz looks like a .zip, too
+            if not hasattr(tarfile, "data_filter"):
+                raise ConfigError(f"{path} can be unpacked safely from Python 3.11.4 on; unpack it yourself")
             with tarfile.open(path) as tar:
                 _check_size(path, (member.size for member in tar))
-                tar.extractall(folder, filter="data")  # a TypeError before Python 3.11.4
+                tar.extractall(folder, filter="data")
         else:
             with zipfile.ZipFile(path) as packed:
                 _check_size(path, (member.file_size for member in packed.infolist()))

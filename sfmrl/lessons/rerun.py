@@ -94,7 +94,7 @@ class Rerun:
     ) -> str:
         """Compare episodes played again with the outcomes, steps and total rewards on file, (n,).
 
-        `exact` if all numbers are equal.
+        `exact` says that all numbers on file are equal, not only these.
         """
         differ = outcome != again.outcome
         if steps is not None and self.alike:

@@ -151,7 +151,7 @@ def _own_reward(run: Run, trust: bool) -> str | Finding:
     file = name.rpartition(":")[0]
     missing = not Path(file).is_file() if file.endswith(".py") else digest and code_digest(name) is None
     if missing and not trust:
-        said = f"there is no {file} here, so the network was not played; put it there, then add --trust-reward"
+        said = f"{file} was not found, so the network was not played; put it back, then add --trust-reward"
         return Finding("reward", None, said)
     if digest is None and file.endswith(".py"):
         raise Disagreement(f"run.json has no SHA-256 of {name}, so it is not run")
@@ -170,9 +170,9 @@ def _versions(run: Run) -> str | Finding:
     made, here = run.facts["versions"], versions()
     if run.kind == "rl" and "bits" in (result := result_of(run)):  # of the machine on which the training ended
         made = made | {"bits": result["bits"]}
-    if kernels() == "unknown":
-        return Finding("versions", None, "NumPy does not use OpenBLAS here: some episodes may end differently")
     if all(made.get(name) == here[name] for name in ("sfmrl", "bits")):
+        if kernels() == "unknown":
+            return Finding("versions", None, "NumPy does not use OpenBLAS here: some episodes may end differently")
         return f"sfmrl {here['sfmrl']} and bits {here['bits']}, the run's own: episodes must end as they did"
     differ = [name for name in ("sfmrl", "bits", "numpy", "processor") if made.get(name) != here[name]]
     said = "; ".join(f"{name} {made.get(name, 'unknown')}, here {here[name]}" for name in differ)

@@ -62,7 +62,9 @@ def parse(text: str, name: str = "map", whole: bool = True) -> Drawing:
     lines, indent = _drawn_lines(text, name)
     rows, columns = len(lines), max(len(line) for _, line in lines) - indent
     if max(rows, columns) > MOST_PLACES:
-        raise ConfigError(f"{name} is {columns} places wide and {rows} high; it may be at most {MOST_PLACES} in each")
+        raise ConfigError(
+            f"{name} is {columns} places wide and {rows} high; it may be at most {MOST_PLACES} by {MOST_PLACES}"
+        )
 
     squares: list[np.ndarray] = []  # centres
     marks: dict[str, np.ndarray] = {}  # places of all else by character

@@ -45,10 +45,10 @@ def code_digest(name: str) -> str | None:
     return hashlib.sha256(Path(file).read_bytes().replace(b"\r\n", b"\n")).hexdigest() if file else None
 
 
-def check_unchanged(name: str, began: str | None) -> None:
-    """Raise ConfigError if the file with the named code has not the SHA-256 that it had when the run `began`."""
+def check_unchanged(name: str, digest: str | None) -> None:
+    """Raise ConfigError if the file with a run's code has another SHA-256 than `digest`, which it had at first."""
     now = code_digest(name)
-    if began and now and began != now:
+    if digest and now and digest != now:
         raise ConfigError(f"{name} has changed since the run began; put that file back and resume, or start a new run")
 
 

@@ -120,7 +120,7 @@ def locked(folder: Path) -> Iterator[None]:
                     said = f"{folder} is being trained by another process; wait for it, or stop it"
                     raise ConfigError(said) from None
                 time.sleep(0.05)
-            except OSError:  # of file systems without locks, as Lustre is by default
+            except OSError:  # of a file system without locks
                 break
         yield
 

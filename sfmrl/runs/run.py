@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sfmrl.config import Config, ConfigError, json_object
+from sfmrl.own_code.trust import check_unchanged
 from sfmrl.runs.files import (
     DamagedFile,
     read_checked,
@@ -37,6 +38,10 @@ class Run:
     kind: str
     config: Config
     facts: dict[str, Any]
+
+    def check_reward(self) -> None:
+        """Raise ConfigError if the user's own reward has changed since the run began."""
+        check_unchanged(self.config.reward.reward, self.facts.get("own_reward"))
 
     @property
     def imitation(self) -> Path | None:

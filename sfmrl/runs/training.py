@@ -14,7 +14,6 @@ from sfmrl.fast import FastNetwork, new_network
 from sfmrl.imitation import Fit, demonstrate, fill_memory, fit_memory, make_memory
 from sfmrl.learning import Learner, Memory
 from sfmrl.lookahead import SarlPolicy
-from sfmrl.own_code.trust import check_unchanged
 from sfmrl.recovery import with_recovery
 from sfmrl.recovery.remembering import RememberingPolicy
 from sfmrl.reinforcement import reinforce
@@ -42,7 +41,7 @@ def run_imitation(run: Run, progress: Progress, stop: StopSignal) -> None:
         with stop.watch(progress)("demonstrations", run.config.imitation.episodes) as advance:
             save_demonstrations(demonstrate(run.config, advance), path)
     fill_memory(memory, load_demonstrations(path, run.config.simulation), run.config)
-    check_unchanged(run.config.reward.reward, run.facts.get("own_reward"))
+    run.check_reward()
     network = fit(run, memory, run.load_checkpoint(), progress, stop)
     run.finish(weights_file(network, run.config))
 
@@ -85,7 +84,7 @@ def run_reinforcement(run: Run, progress: Progress, stop: StopSignal, say: Say, 
             train_until_validation(run, learner, explorer, advance, stop)
     run.save_checkpoint(learner.state_dict())
     result = test(run, learner, stop.watch(progress), threads)
-    check_unchanged(config.reward.reward, run.facts.get("own_reward"))
+    run.check_reward()
     written = result | {"bits": machine_bits()}  # run.json has the bits of the machine on which the run began
     write_text(run.folder / "result.json", json.dumps(written, indent=2) + "\n")
     run.finish(weights_file(learner.network, config))
@@ -118,10 +117,13 @@ def start_learner(run: Run, progress: Progress, stop: StopSignal, say: Say) -> L
         if not path.exists() or read_sums(run.imitation).get(DEMONSTRATIONS) != run.facts["demonstrations"]:
             raise DamagedFile(f"{path} has changed or gone since this run began; put it back, or start a new run")
         fill_memory(memory, load_demonstrations(path, config.simulation), config)
+        run.check_reward()
         network, trained = load_weights(run.imitation / WEIGHTS)
         if needs_fit(trained, config):
             state = f"reward {config.reward.reward} and {len(column_names(config.forces))} state columns"
-            other = f"{run.imitation} was trained with another reward, discount, state or value prior"
+            other = (
+                f"{run.imitation} was trained with another reward, discount, state, value prior or imitation settings"
+            )
             say(f"{other}: learning from its demonstrations again, with {state}")
             network = fit(run, memory, saved, progress, stop)
     return Learner(network, memory, config)
@@ -167,7 +169,7 @@ def validate(run: Run, learner: Learner, stop: StopSignal, say: Say, threads: in
     """Play the validation episodes, add a row to validation.csv, and save the network if none before was better."""
     settings, policy = run.config.reinforcement, SarlPolicy(learner.network, run.config, threads)
     rates = metrics(play_evaluation(policy, "validation", settings.validation_episodes, stop.watch(no_progress)))
-    check_unchanged(run.config.reward.reward, run.facts.get("own_reward"))
+    run.check_reward()
     row = {"episode": learner.episode} | {name: rates[name] for name in VALIDATED}
     if row["success"] >= max((old["success"] for old in learner.validations), default=0.0):
         save_weights(learner.network, run.config, run.folder / BEST)

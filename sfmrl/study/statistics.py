@@ -227,7 +227,7 @@ def _less_sarl(table: Table, name: str, rows: dict[str, Figures]) -> dict[str, A
         return None
     ours, sarl = rows[name], rows["sarl"]
     shared = [seed for seed in ours.seeds if seed in sarl.seeds]
-    if not shared:
+    if not shared or ours.test_episodes != sarl.test_episodes:
         return None
     one, other = (row.of("success", shared) for row in (ours, sarl))
     reported, baseline = table.paper[name]["success"], table.paper["sarl"]["success"]
