@@ -161,7 +161,7 @@ class Imitation(Settings):
     batch_size: int = knob(100, "states in a batch", 1, 100_000)
     learning_rate: float = knob(0.01, "learning rate", 0, 1000)
     refit: bool = knob(
-        True, "in rl, fit the demonstrations again if the reward or another setting of il differs (CrowdNav)"
+        True, "in rl, fit the demonstrations again if the reward, the discount or a setting of il differs (CrowdNav)"
     )
     environment: str = knob("1", "environment of the demonstrations, or a mix such as 1:0.7,2:0.3")
 
@@ -172,7 +172,7 @@ class Reinforcement(Settings):
 
     episodes: int = knob(10_000, "training episodes", 1, 10_000_000)
     parallel: int = knob(
-        1, "episodes played side by side; if 2 or more, while the network learns from the last ones", 1, 10_000
+        1, "episodes played side by side; with 2 or more, the network learns meanwhile from earlier ones", 1, 10_000
     )
     batches: int = knob(100, "gradient steps per episode, each on one batch (CrowdNav)", 0, 10_000)
     batch_size: int = knob(100, "states in a batch", 1, 100_000)

@@ -28,7 +28,7 @@ from sfmrl.world import World, advance, crowd_velocities, drive, motion, reset, 
 BATCH = 256  # episodes side by side, unless a policy has its own number
 TOLERANCE = 1e-4  # m/s by which a policy may exceed v_pref: ORCA computes in float32
 
-_playing: set[tuple[int, int]] = set()  # processes, and ids of their policies with `begin` that are playing
+_playing: dict[tuple[int, int], object] = {}  # the plays in progress, by process and id of a policy with `begin`
 
 Arrays = dict[str, np.ndarray]
 
@@ -185,16 +185,18 @@ def _begun(policy: Policy, scenes: Scenes, simulation: Simulation) -> Iterator[N
 
     Both would go on with what the later `begin` has prepared, and their numbers would be wrong.
     """
-    begin, key = getattr(policy, "begin", None), (os.getpid(), id(policy))  # a forked process plays by itself
-    if begin and key in _playing:
-        raise ConfigError(f"policy {name_of(policy)} is already playing; give each thread a copy.deepcopy of it")
+    begin = getattr(policy, "begin", None)
+    if not begin:
+        yield
+        return
+    key, play = (os.getpid(), id(policy)), object()  # a forked process plays by itself
+    if _playing.setdefault(key, play) is not play:
+        raise ConfigError(f"policy {name_of(policy)} is already playing; play a copy.deepcopy of it instead")
     try:
-        if begin:
-            _playing.add(key)
-            begin(scenes, simulation)
+        begin(scenes, simulation)
         yield
     finally:
-        _playing.discard(key)
+        del _playing[key]
 
 
 def _recorded(

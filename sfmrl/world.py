@@ -111,12 +111,12 @@ def reset(scenes: Scenes, simulation: Simulation = Simulation()) -> World:
     )
 
 
-def motion(batch: Any) -> dict[str, Any]:
+def motion(played: Any) -> dict[str, Any]:
     """How everybody moves in a `World` or a record, by name: position (m), velocity (m/s) and heading (rad).
 
     Shapes are (E, ...) of a world, (E, T + 1, ...) of a record; a robot that is no unicycle has no heading.
     """
-    parts = {name: getattr(batch, name) for name in ("position", "velocity", "heading")}
+    parts = {name: getattr(played, name) for name in ("position", "velocity", "heading")}
     return {name: part for name, part in parts.items() if part is not None}
 
 

@@ -14,16 +14,19 @@ from sfmrl.cli import main
 from sfmrl.config import Config, ConfigError, Planner, Reward, Simulation, Untrusted
 from sfmrl.episodes import Record, play, play_episodes
 from sfmrl.evaluation import evaluate
+from sfmrl.imitation import fill_memory
 from sfmrl.network import ValueNetwork
 from sfmrl.own_code import UntrustedReward
 from sfmrl.own_code.trust import code_digest, trusted
 from sfmrl.policies import load_policy
 from sfmrl.recovery import with_recovery
 from sfmrl.rewards import Transition, reward_terms
+from sfmrl.runs import training
 from sfmrl.runs.create import create_run
-from sfmrl.runs.folders import finished
+from sfmrl.runs.files import read_sums
+from sfmrl.runs.folders import DEMONSTRATIONS, finished
 from sfmrl.runs.progress import StopSignal, no_progress
-from sfmrl.runs.training import run_reinforcement
+from sfmrl.runs.training import run_imitation, run_reinforcement
 from sfmrl.runs.weights import load_weights, save_weights
 from sfmrl.scenes import Scenes, sample_scenes
 from sfmrl.variants import make_config
@@ -367,3 +370,22 @@ def test_a_reward_that_changes_while_it_trains_ends_the_training(own, tmp_path, 
     with pytest.raises(ConfigError, match="has changed since the run began; put that file back and resume"):
         run_reinforcement(run, no_progress, StopSignal(), edit, threads=threads)
     assert not (run.folder / "test.csv").exists()
+
+
+def test_a_reward_that_changes_before_the_second_fit_is_not_fitted_to(own, tmp_path, monkeypatch):
+    tiny = {"imitation": {"episodes": 2, "epochs": 1, "environment": "circle5", "refit": True}}
+    demonstrated = create_run("il", make_config(**tiny), tmp_path / "il")
+    run_imitation(demonstrated, no_progress, StopSignal())
+    config = make_config(reward={"reward": f"{own}:calm"}, **tiny)
+    facts = {"demonstrations": read_sums(demonstrated.folder)[DEMONSTRATIONS]}
+    run = create_run("rl", config, tmp_path / "rl", demonstrated.folder, **facts)
+
+    def fill_and_edit(*arguments) -> None:
+        fill_memory(*arguments)
+        own.write_text(own.read_text() + "# edited\n")
+
+    said: list[str] = []
+    monkeypatch.setattr(training, "fill_memory", fill_and_edit)
+    with pytest.raises(ConfigError, match="has changed since the run began"):
+        run_reinforcement(run, no_progress, StopSignal(), said.append)
+    assert said == []  # not "learning from its demonstrations again"

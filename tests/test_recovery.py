@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sfmrl.config import Config, ConfigError, Planner, Reward, Simulation
-from sfmrl.episodes import play_episodes
+from sfmrl.episodes import Record, play_episodes
 from sfmrl.geometry import limit
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.network import ValueNetwork
@@ -137,11 +137,17 @@ def test_a_policy_that_begins_plays_once_at_a_time_and_a_copy_in_another_thread(
     policy = RecoveringPolicy(StraightOn(), ON)
     with ThreadPoolExecutor(1) as pool:
 
-        def meanwhile(ended: int) -> None:  # also after three of the six episodes
-            with pytest.raises(ConfigError, match="is already playing"):
-                pool.submit(play_episodes, scenes, policy, Reward(), Simulation()).result()
-            pool.submit(play_episodes, others, copy.deepcopy(policy), Reward(), Simulation()).result()
+        def meanwhile(ended: int) -> None:  # while three of the six episodes are still to be played, too
+            for play in (play_episodes, lambda *arguments: pool.submit(play_episodes, *arguments).result()):
+                with pytest.raises(ConfigError, match="is already playing"):
+                    play(scenes, policy, Reward(), Simulation())
+            copied = pool.submit(play_episodes, others, copy.deepcopy(policy), Reward(), Simulation()).result()
+            elsewhere.append((ended, copied))
 
+        elsewhere: list[tuple[int, Record]] = []
         record = play_episodes(scenes, policy, Reward(), Simulation(), batch=3, progress=meanwhile)
-    again = play_episodes(scenes, policy, Reward(), Simulation())
+    assert 3 in [ended for ended, _ in elsewhere]
+    again, there = (play_episodes(each, policy, Reward(), Simulation()) for each in (scenes, others))
     np.testing.assert_array_equal(record.position, again.position)
+    for _, copied in elsewhere:
+        np.testing.assert_array_equal(copied.position, there.position)

@@ -63,18 +63,22 @@ def trained(success: list[float], episodes: int = 500, seeds: list[int] | None =
     )
 
 
-def write_run(place: Path, row: str, seed: int, success: float, first: int = 0) -> None:
-    """A finished run's files, as far as a table reads them."""
+def write_run(place: Path, row: str, seed: int, success: float, shifted: str = "") -> None:
+    """A finished run's files, as far as a table reads them; in the file `shifted`, of other episodes than usual."""
     run, folder = trained([success], 50), run_folder(place, 1, "quick", row, seed)
     create_run("rl", run_config(1, "quick", row, seed), folder)
     (folder / "weights.npz").touch()
     columns = {name: getattr(run, name)[0].tolist() for name in ("outcome", "hit", "time", "total_reward")}
     rows = [dict(zip(columns, line, strict=True)) for line in zip(*columns.values(), strict=True)]
-    (folder / "test.csv").write_text(csv_text([{"episode": first + e} | row for e, row in enumerate(rows)]))
-    course = [{"episode": e, "success": s} for e, s in zip(EPISODES.tolist(), run.validation[0].tolist(), strict=True)]
-    (folder / "validation.csv").write_text(csv_text(course))
+    course = [{"success": success} for success in run.validation[0].tolist()]
     played = [{"outcome": "success" if good else "timeout", "steps": 40 + seed} for good in run.training[0]]
-    (folder / "metrics.csv").write_text(csv_text(played))
+    for name, episodes, lines in (
+        ("test.csv", range(50), rows),
+        ("validation.csv", EPISODES.tolist(), course),
+        ("metrics.csv", range(len(played)), played),
+    ):
+        listed = [{"episode": e + (name == shifted)} | line for e, line in zip(episodes, lines, strict=True)]
+        (folder / name).write_text(csv_text(listed))
 
 
 @pytest.fixture
@@ -223,20 +227,22 @@ def test_folders_alone_make_a_row(folder):
         ("test.csv", None),
         ("test.csv", "episode\n0\n"),
         ("validation.csv", "episode,success\n0,x\n"),
-        ("metrics.csv", "outcome,steps\nsuccess,x\n"),
-        ("metrics.csv", "outcome,steps\nsuccess,9999999999999999999999\n"),
+        ("validation.csv", "episode,success\n"),
+        ("metrics.csv", "episode,outcome,steps\n0,success,x\n"),
+        ("metrics.csv", "episode,outcome,steps\n0,success,9999999999999999999999\n"),
     ],
 )
 def test_a_run_that_cannot_be_read_is_one_error(folder, name, text):
     path = run_folder(folder, 1, "quick", "sarl", 0) / name
     path.unlink() if text is None else path.write_text(text)
-    with pytest.raises(ConfigError, match=r"a run of row sarl under .* cannot be read"):
+    with pytest.raises(ConfigError, match=rf"sarl-seed0/{name} (cannot be read \(.*\)|has no rows); delete this run"):
         read_row(folder, 1, "quick", "sarl", [0])
 
 
-def test_runs_that_were_tested_on_other_episodes_are_refused(folder):
-    write_run(folder, "sarl", 4, 0.9, first=50)
-    with pytest.raises(ConfigError, match="sarl-seed4 was tested on other episodes"):
+@pytest.mark.parametrize("name", ["test.csv", "validation.csv", "metrics.csv"])
+def test_runs_of_other_episodes_are_refused(folder, name):
+    write_run(folder, "sarl", 4, 0.9, shifted=name)
+    with pytest.raises(ConfigError, match=f"sarl-seed4/{name} lists other episodes than that of .*sarl-seed0"):
         read_row(folder, 1, "quick", "sarl", [0, 4])
 
 

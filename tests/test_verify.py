@@ -375,7 +375,7 @@ def test_an_archive_that_this_python_cannot_unpack_safely_is_left_packed(tmp_pat
     monkeypatch.delattr(tarfile, "data_filter")  # Python before 3.11.4
     with runs_in([archive]) as (runs, (error,)):
         assert runs == {}
-        assert str(error) == f"{archive} can be unpacked safely from Python 3.11.4 on; unpack it yourself"
+        assert str(error) == f"unpacking {archive} safely needs Python 3.11.4; update Python, or pack a .zip"
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ def _unpack(path: Path, folder: Path) -> None:
     try:
         if tarfile.is_tarfile(path):  # first: a tar file that holds an .npz looks like a .zip, too
             if not hasattr(tarfile, "data_filter"):
-                raise ConfigError(f"{path} can be unpacked safely from Python 3.11.4 on; unpack it yourself")
+                raise ConfigError(f"unpacking {path} safely needs Python 3.11.4; update Python, or pack a .zip")
             with tarfile.open(path) as tar:
                 _check_size(path, (member.size for member in tar))
                 tar.extractall(folder, filter="data")

@@ -46,7 +46,7 @@ def code_digest(name: str) -> str | None:
 
 
 def check_unchanged(name: str, digest: str | None) -> None:
-    """Raise ConfigError if the file with a run's code has another SHA-256 than `digest`, which it had at first."""
+    """Raise ConfigError if the file of the named code no longer has its SHA-256 of the run's beginning, `digest`."""
     now = code_digest(name)
     if digest and now and digest != now:
         raise ConfigError(f"{name} has changed since the run began; put that file back and resume, or start a new run")

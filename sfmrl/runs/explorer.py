@@ -85,7 +85,7 @@ def _policy(config: Config, threads: int, sizes: Sizes) -> SarlPolicy:
 
 
 def _warm_up(config: Config, threads: int, sizes: Sizes) -> None:
-    """Import and allocate before the first episode is due; returns nothing, since results are sent here."""
+    """Import and allocate before the first episode is due; returns nothing, since a result would be sent back."""
     _policy(config, threads, sizes)
 
 

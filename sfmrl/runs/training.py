@@ -121,9 +121,7 @@ def start_learner(run: Run, progress: Progress, stop: StopSignal, say: Say) -> L
         network, trained = load_weights(run.imitation / WEIGHTS)
         if needs_fit(trained, config):
             state = f"reward {config.reward.reward} and {len(column_names(config.forces))} state columns"
-            other = (
-                f"{run.imitation} was trained with another reward, discount, state, value prior or imitation settings"
-            )
+            other = f"{run.imitation} was trained with another reward, discount, state, value prior or settings of il"
             say(f"{other}: learning from its demonstrations again, with {state}")
             network = fit(run, memory, saved, progress, stop)
     return Learner(network, memory, config)

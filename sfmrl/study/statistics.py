@@ -221,7 +221,8 @@ def _judge(low: float, high: float, reported: tuple[float, ...], rounding: float
 def _less_sarl(table: Table, name: str, rows: dict[str, Figures]) -> dict[str, Any] | None:
     """Return a row's success minus SARL's, paired by seed; None for SARL itself and where nothing can be paired.
 
-    The verdict is on one more run of each row, which are not paired, as the paper's are not.
+    That is so without shared seeds, and if the two were tested on different numbers of episodes. The verdict is on one
+    more run of each row, which are not paired, as the paper's are not.
     """
     if name == "sarl" or "sarl" not in rows:
         return None

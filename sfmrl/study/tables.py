@@ -181,40 +181,48 @@ def read_row(
 ) -> Trained | None:
     """Read a row's `finished_runs`; returns None where there is none.
 
-    Raises ConfigError where a run cannot be read, or was tested or validated on other episodes than the others;
-    DamagedFile where one of its files is not what was written.
+    Raises ConfigError where a run cannot be read, or has other episodes than the others; DamagedFile where one of its
+    files is not what was written.
     """
     runs = finished_runs(folder, number, preset, row, seeds, **schedule)
     if not runs:
         return None
     folders = list(runs.values())
-    try:
-        validation = _columns(folders, "validation.csv", "validated", episode=int, success=float)
-        metrics = _columns(folders, "metrics.csv", outcome=str, steps=int)
-        return Trained(
-            seeds=list(runs),
-            **_columns(folders, "test.csv", "tested", outcome=str, hit=str, time=float, total_reward=float),
-            episodes=validation["episode"][0],
-            validation=validation["success"],
-            training=metrics["outcome"] == "success",
-            steps=metrics["steps"],
-        )
-    except ConfigError:
-        raise
-    except (OSError, ValueError, LookupError, TypeError, ArithmeticError) as error:  # on unexpected content
-        raise ConfigError(f"a run of row {row} under {folder} cannot be read ({error!r}); train it again") from error
+    test = _columns(folders, "test.csv", outcome=str, hit=str, time=float, total_reward=float)
+    validation = _columns(folders, "validation.csv", success=float)
+    metrics = _columns(folders, "metrics.csv", outcome=str, steps=int)
+    del test["episode"]
+    return Trained(
+        seeds=list(runs),
+        **test,
+        episodes=validation["episode"][0],
+        validation=validation["success"],
+        training=metrics["outcome"] == "success",
+        steps=metrics["steps"],
+    )
 
 
-def _columns(runs: list[Path], name: str, played: str = "", **kinds: type) -> dict[str, np.ndarray]:
-    """Read columns of the CSV file `name` of every run, each (S, rows) of the type that `kinds` gives its heading.
+def _columns(runs: list[Path], name: str, **kinds: type) -> dict[str, np.ndarray]:
+    """Read columns of the CSV file `name` of every run, each (S, rows): "episode", and those of the types `kinds`.
 
-    With `played`, raises ConfigError, with this word, unless all runs list the same episodes.
+    Raises ConfigError if a file cannot be read, or lists other episodes than that of the first run.
     """
-    tables = [read_table(run / name) for run in runs]
-    for run, table in zip(runs, tables, strict=True):
-        if played and [row["episode"] for row in table] != [row["episode"] for row in tables[0]]:
-            raise ConfigError(f"{run} was {played} on other episodes than the row's other runs; train it again")
-    return {key: np.array([[row[key] for row in table] for table in tables]).astype(kinds[key]) for key in kinds}
+    tables: list[dict[str, np.ndarray]] = []
+    kinds = {"episode": int, **kinds}
+    for run in runs:
+        try:
+            rows = read_table(run / name)
+            table: dict[str, np.ndarray] = {
+                key: np.array([row[key] for row in rows]).astype(kinds[key]) for key in kinds
+            }
+        except (OSError, ValueError, LookupError, TypeError, ArithmeticError) as error:  # on unexpected content
+            raise ConfigError(f"{run / name} cannot be read ({error!r}); delete this run and train it again") from error
+        if not rows:
+            raise ConfigError(f"{run / name} has no rows; delete this run and train it again")
+        if tables and not np.array_equal(table["episode"], tables[0]["episode"]):
+            raise ConfigError(f"{run / name} lists other episodes than that of {runs[0]}; train the wrong one again")
+        tables.append(table)
+    return {key: np.stack([table[key] for table in tables]) for key in tables[0]}
 
 
 @dataclass(frozen=True)
