@@ -1,10 +1,11 @@
-"""Switch off the ingredients of the quick preset one at a time: `python tests/make_ablation.py FOLDER [SEEDS]`.
+"""Switch off the ingredients of the quick preset one at a time: `python tests/make_ablation.py FOLDER [SEEDS [NAMES]]`.
 
 For each ingredient and seed, a training with the SFM reward is made under FOLDER and tested alone, without recovery:
-in the 500 test episodes, and in 300 scenes with few people. The trainings are those of `sfmrl table 1 --rows
-sarl-sfm2`, with other options. Their figures go to tutorials/results/ablation.csv, and the means with their differences
-from the whole recipe, paired by seed, to ablation.md. What is in the CSV file is not trained again, so the same command
-goes on after a stop: delete the file after a change of the recipe.
+in the 500 test episodes, and in 300 scenes with few people. NAMES limits the ingredients ("nothing,value prior"). The
+trainings are those of `sfmrl table 1 --rows sarl-sfm2`, with other options. Their figures go to
+tutorials/results/ablation.csv, and the means with their differences from the whole recipe, paired by seed, to
+ablation.md. What is in the CSV file is not trained again, so the same command goes on after a stop: delete the file
+after a change of the recipe.
 """
 
 import csv
@@ -82,21 +83,22 @@ def read_csv(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(path.read_text().splitlines())) if path.exists() else []
 
 
-def missing(known: list[dict], seeds: list[int]) -> Iterator[tuple[dict, Run]]:
+def missing(known: list[dict], seeds: list[int], names: list[str]) -> Iterator[tuple[dict, Run]]:
     """What is not among the `known` lines: the beginning of its line, and its seed and entry of INGREDIENTS."""
     there = {(line["switched off"], line["options"], str(line["seed"])) for line in known}
     for seed in seeds:
-        for ingredient, (name, *options) in INGREDIENTS.items():
+        for ingredient in names:
+            name, *options = INGREDIENTS[ingredient]
             given = [f"{command} {o}".strip() for command, o in zip(("", "il", "rl"), options, strict=True) if o]
             line = {"switched off": ingredient, "options": ", ".join(given), "seed": seed}
             if tuple(map(str, line.values())) not in there:
                 yield line, (seed, name, *options)
 
 
-def new_lines(folder: Path, known: list[dict], seeds: list[int]) -> Iterator[dict]:
+def new_lines(folder: Path, known: list[dict], wanted: tuple[list[int], list[str]]) -> Iterator[dict]:
     """Lines of what has been trained since, with the figures of its tests."""
     scenes = few_people()
-    for line, run in missing(known, seeds):
+    for line, run in missing(known, *wanted):
         path = trainings(folder, *run)[1].folder
         if finished(path):
             few = {"success_among_few": float((play(scenes, str(path)).outcome == "success").mean())}
@@ -138,10 +140,10 @@ def ablation_markdown(lines: list[dict]) -> str:
     return "\n".join(Sheet(title, part).markdown() for title, part in zip(titles, (means, differences), strict=True))
 
 
-def main(folder: Path, seeds: list[int]) -> None:
+def main(folder: Path, seeds: list[int], names: list[str]) -> None:
     """Train what is missing, and write both files, also when stopped."""
     known = read_csv(CSV)
-    jobs = {job.folder: job for _, run in missing(known, seeds) for job in trainings(folder, *run)}
+    jobs = {job.folder: job for _, run in missing(known, seeds, names) for job in trainings(folder, *run)}
     workers, progress = Processes(available_cores()), show_progress(Console(stderr=True))
     try:
         with StopSignal(print) as stop:
@@ -150,7 +152,7 @@ def main(folder: Path, seeds: list[int]) -> None:
         sys.exit(f"make_ablation: {error or 'stopped'}; the same command goes on")
     finally:
         order, lines = list(INGREDIENTS), known
-        for line in new_lines(folder, known, seeds):
+        for line in new_lines(folder, known, (seeds, names)):
             lines = sorted([*lines, line], key=lambda line: (order.index(line["switched off"]), int(line["seed"])))
             CSV.write_text(csv_text(lines))
         if lines and lines[0]["switched off"] == "nothing":
@@ -158,4 +160,6 @@ def main(folder: Path, seeds: list[int]) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), parse_seeds(sys.argv[2] if len(sys.argv) > 2 else "0-4"))
+    numbers = sys.argv[2] if len(sys.argv) > 2 else "0-4"
+    ingredients = sys.argv[3].split(",") if len(sys.argv) > 3 else list(INGREDIENTS)
+    main(Path(sys.argv[1]), parse_seeds(numbers), ingredients)
