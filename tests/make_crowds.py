@@ -39,12 +39,13 @@ def crowds_markdown(lines: list[dict]) -> str:
     """Success and collisions, as tables; environments and networks that have not been tested yet are left out."""
     of = {(line["network"], line["options"]): line for line in lines}
     tested = [name for name in NETWORKS if any((name, options) in of for options in PLACES)]
+    known = {options: place for options, place in PLACES.items() if any((name, options) in of for name in tested)}
 
     def rates(network: str, options: str) -> str:
         line = of.get((network, options))
         return f"{rate(float(line['success']))}, {rate(float(line['collision']))}" if line else "-"
 
-    places = [{"network": n} | {place: rates(n, options) for options, place in PLACES.items()} for n in tested]
+    places = [{"network": n} | {place: rates(n, options) for options, place in known.items()} for n in tested]
     varied = [
         {"options": f"`{options}`", "success, collisions": rates(CROWDED, options)}
         for options in VARIED
