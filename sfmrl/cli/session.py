@@ -75,7 +75,7 @@ class TestOptions:
     map_file: Path | None = options.MAP
     seed: int = number_option(0, "seed of the test episodes (default 0)", 0, LARGEST_SEED)
     humans: int | None = number_option(
-        None, "number of humans, all on one circle, a larger one for over 10 (default the environment's own)", 0, 200
+        None, "number of humans, on a circle that widens above 10 (default the environment's own)", 0, 200
     )
     human_speed: float | None = number_option(
         None, "preferred speed of the humans, m/s (default 1; the robot's is 1)", 0, 10
