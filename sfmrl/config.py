@@ -89,7 +89,7 @@ class Simulation(Settings):
     """Who the humans are, how they move, and when an episode ends; CrowdNav's values, except where they are marked."""
 
     time_step: float = knob(0.25, "length of a step, s", 1e-3, 1)
-    time_limit: float = knob(25.0, "episodes time out 1 s before this time, s (CrowdNav)", 1, 3600)
+    time_limit: float = knob(25.0, "no step begins later than 1 s before this time, s (CrowdNav)", 1, 3600)
     crowd: str = knob("orca", "what drives the humans", choices=("orca", "sfm"))
     kinematics: str = knob(
         "holonomic",
@@ -160,9 +160,7 @@ class Imitation(Settings):
     epochs: int = knob(50, "passes over the demonstrations", 1, 10_000)
     batch_size: int = knob(100, "states in a batch", 1, 100_000)
     learning_rate: float = knob(0.01, "learning rate", 0, 1000)
-    refit: bool = knob(
-        True, "in rl, fit the demonstrations again if the reward, the discount or a setting of il differs (CrowdNav)"
-    )
+    refit: bool = knob(True, "in rl, fit the demonstrations again if the reward or the discount differs (CrowdNav)")
     environment: str = knob("1", "environment of the demonstrations, or a mix such as 1:0.7,2:0.3")
 
 

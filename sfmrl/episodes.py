@@ -18,7 +18,7 @@ from sfmrl.batch import Batch
 from sfmrl.config import Config, ConfigError, Reward, Simulation, counted, in_range
 from sfmrl.geometry import length
 from sfmrl.lookahead import step_discount
-from sfmrl.own_code import checked_action, kind, name_of, read_only
+from sfmrl.own_code import checked_action, described, name_of, read_only
 from sfmrl.policies import config_of, find_policy
 from sfmrl.rewards import OUTCOMES, RUNNING, OwnReward, Terms, Transition, reward_terms, total
 from sfmrl.scenes import Scenes
@@ -133,7 +133,7 @@ def play(
     Raises ConfigError if an argument is none of these, and if a policy or reward returns anything else.
     """
     if not isinstance(scenes, Scenes):
-        raise ConfigError(f"scenes is {kind(scenes)}; it takes Scenes, such as sample_scenes('circle5', 100)")
+        raise ConfigError(f"scenes is {described(scenes)}; it takes Scenes, such as sample_scenes('circle5', 100)")
     chosen = find_policy(policy, reward)
     own = config_of(chosen).simulation if simulation is None else simulation
     given = {"robot_visible": robot_visible, "safety_space": safety_space, "crowd": crowd, "kinematics": kinematics}
@@ -234,14 +234,15 @@ def _recorded(
 
 def _choice(policy: Policy, world: World, moves: np.ndarray, keep: bool) -> tuple[np.ndarray, Notes]:
     """The policy's actions (E, 2) in m/s, and its notes if `keep`; raises ConfigError if it returns anything else."""
-    name, given = f"policy {name_of(policy)}", (read_only(world), read_only(moves))
+    given = read_only(world), read_only(moves)
     returned, notes = explained(policy, *given) if keep else (policy(*given), {})
     action = checked_action(policy, returned, len(world))
     speed, v_pref = length(action), world.v_pref[:, 0]
     if (speed > v_pref + TOLERANCE).any():
         e = int((speed - v_pref).argmax())
         raise ConfigError(
-            f"{name} returned a velocity of {speed[e]:.4g} m/s; it must return none above v_pref, {v_pref[e]:.4g} m/s"
+            f"policy {name_of(policy)} returned a velocity of {speed[e]:.4g} m/s; it must return none above v_pref, "
+            f"{v_pref[e]:.4g} m/s"
         )
     return action, notes
 
@@ -252,7 +253,11 @@ def _write(arrays: Arrays, world: World, parts: Arrays, count: int) -> None:
         if name not in arrays:
             empty = np.nan if part.dtype.kind == "f" else 0  # 0 is RUNNING, too
             arrays[name] = np.full((count, world.simulation.longest + 1, *part.shape[1:]), empty, part.dtype)
-        arrays[name][world.episode, world.steps] = part
+        kept = arrays[name]
+        if part.shape[1:] != kept.shape[2:] or not np.can_cast(part.dtype, kept.dtype, "same_kind"):
+            # Of all that is recorded, only a user's notes can change like this.
+            raise ConfigError(f"the policy's note {name!r} has another shape or type than at the first step; keep both")
+        kept[world.episode, world.steps] = part
 
 
 def _refill(start: World, world: World, going: np.ndarray, fresh: np.ndarray) -> World:

@@ -72,8 +72,8 @@ def metrics(record: Record, policy: Policy | None = None) -> Metrics:
 
     `success`, `collision`, `timeout` are rates, each with its 95 % Wilson interval under `intervals`;
     `navigation_time` is the mean time of the successes in s (None without any); `total_reward` the mean discounted
-    return. `failures` lists the episodes without success, and whether their squares leave a path to the goal, around
-    their outlines. If `policy` has recovery and has just played the record, `recovered` is the rate of episodes in
+    return. `failures` lists the episodes without success, and says whether each is solvable: whether its squares leave
+    a path to the goal. If `policy` has recovery and has just played the record, `recovered` is the rate of episodes in
     which it was stuck. For a record without episodes, rates and means are None, and intervals are from 0 to 1. Raises
     ValueError if `policy` has just played another number of episodes.
     """
@@ -139,8 +139,8 @@ def _mean(values: np.ndarray) -> float | None:
     return float(values.mean()) if len(values) else None
 
 
-def wilson(successes: int, trials: int, z: float = Z) -> tuple[float, float]:
-    """The Wilson score interval of the rate `successes` / `trials`, 95 % by default (Wilson, 1927).
+def wilson(successes: int, trials: int) -> tuple[float, float]:
+    """The 95 % Wilson score interval of the rate `successes` / `trials` (Wilson, 1927).
 
     Raises ValueError unless both are whole numbers and 0 <= successes <= trials.
     """
@@ -148,7 +148,7 @@ def wilson(successes: int, trials: int, z: float = Z) -> tuple[float, float]:
         raise ValueError(f"wilson takes counts, not {successes} of {trials}: whole numbers, successes at most trials")
     if trials == 0:
         return 0.0, 1.0
-    rate, spread = successes / trials, z * z / trials
+    rate, spread = successes / trials, Z * Z / trials
     centre = (rate + spread / 2) / (1 + spread)
-    half = z * math.sqrt(rate * (1 - rate) / trials + spread / (4 * trials)) / (1 + spread)
+    half = Z * math.sqrt(rate * (1 - rate) / trials + spread / (4 * trials)) / (1 + spread)
     return 0.0 if successes == 0 else centre - half, 1.0 if successes == trials else centre + half

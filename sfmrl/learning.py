@@ -7,6 +7,7 @@ is the replay memory, `Learner` the state of deep V-learning between two rounds 
 import json
 import math
 from collections.abc import Callable
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -64,10 +65,10 @@ class Memory:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # `descend` finds what is not finite
-def learn(network: FastNetwork, optimizer: SGD, rate: float, states: np.ndarray, values: np.ndarray) -> float:
+def learn(optimizer: SGD, rate: float, states: np.ndarray, values: np.ndarray) -> float:
     """One step of descent at learning rate `rate` on states (B, K, F) and values (B,); returns the loss."""
-    loss, _ = network.loss_and_gradients(states, values)
-    optimizer.step(rate)  # along `network.gradient`, which the line above has written
+    loss, _ = optimizer.network.loss_and_gradients(states, values)
+    optimizer.step(rate)  # along the network's `gradient`, which the line above has written
     return loss
 
 
@@ -82,13 +83,13 @@ def descend(
     """Take a step of descent on each of the `batches`, indices (B,) in the memory; returns the mean loss.
 
     `rate` is the highest learning rate of the training, `steps` how many it takes in all; `progress` is called with 1
-    after each. Raises ConfigError if the loss or a weight is not finite, so that no such one is saved.
+    after each. Raises ConfigError if the loss or a weight is not finite, so that such a network is never saved.
     """
     flush_negligible(optimizer)
     losses = []
     for rows in batches:
         now = optimizer.rate(rate, optimizer.steps / steps)
-        losses.append(learn(optimizer.network, optimizer, now, *memory.take(rows)))
+        losses.append(learn(optimizer, now, *memory.take(rows)))
         progress(1)
     loss = float(np.mean(losses))
     if not (math.isfinite(loss) and np.isfinite(optimizer.network.flat).all()):
@@ -137,8 +138,8 @@ class Learner(Resumable):
 
     def __init__(self, network: FastNetwork, memory: Memory, config: Config) -> None:
         self.config, self.memory, self.network = config, memory, network
-        self.target = network.copy()
-        self.actor = network.copy() if config.reinforcement.parallel > 1 else network
+        self.target = copy(network)
+        self.actor = copy(network) if config.reinforcement.parallel > 1 else network
         self.optimizer = OPTIMIZERS[config.optimizer](network)
         self.rng = generator(config.seed, "batches")
         self.episode = 0

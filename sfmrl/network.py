@@ -7,11 +7,9 @@ and learning. Left out: the local map.
 
 from itertools import pairwise
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
-from sfmrl.fast import as_fast
 from sfmrl.fast.layers import Sizes, drawn_parameters
 from sfmrl.fast.network import AT_GOAL, PER_METRE, PRIOR
 from sfmrl.states import column_names, own_columns
@@ -50,10 +48,6 @@ class ValueNetwork(nn.Module):
             beyond = (states[:, 0, 0] - float(AT_GOAL)).clamp(min=0.0)  # m to go
             value = float(PER_METRE) ** beyond * (float(PRIOR) + value)
         return value
-
-    def evaluate(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values (B,) and attention (B, K) of states (B, K, F), by `FastNetwork.evaluate`."""
-        return as_fast(self).evaluate(states)
 
 
 def _mlp(width: int, *sizes: int) -> nn.Sequential:

@@ -10,7 +10,7 @@ from sfmrl.actions import Policy
 from sfmrl.config import Config, ConfigError
 from sfmrl.geometry import direction
 from sfmrl.lookahead import SarlPolicy
-from sfmrl.own_code import OwnPolicy, kind, names_code
+from sfmrl.own_code import OwnPolicy, described, names_code
 from sfmrl.own_code.trust import trusted
 from sfmrl.world import World, orca_crowd, sfm_crowd
 
@@ -42,7 +42,7 @@ def find_policy(policy: str | Path | Policy, reward: Any = None) -> Policy:
     if isinstance(policy, (str, Path)):
         return load_policy(policy, trust_reward=getattr(reward, "reward", reward))
     if not callable(policy):
-        raise ConfigError(f"policy is {kind(policy)}; it takes a name, or a function of (world, crowd_velocity)")
+        raise ConfigError(f"policy is {described(policy)}; it takes a name, or a function of (world, crowd_velocity)")
     return policy
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from sfmrl.batch import Batch
 from sfmrl.config import ConfigError, Reward, suggest
 from sfmrl.geometry import length
-from sfmrl.own_code import checked_array, guarded, kind, load, name_of, read_only, source
+from sfmrl.own_code import checked_array, described, guarded, load, name_of, read_only, source
 
 RUNNING, SUCCESS, COLLISION, TIMEOUT = range(4)
 OUTCOMES = np.array(["running", "success", "collision", "timeout"])
@@ -132,7 +132,7 @@ def reward_terms(reward: str | Reward | OwnReward) -> Callable[[Transition], Ter
         return partial(_own_terms, reward, Reward(), name_of(reward))
     if not isinstance(reward, (str, Reward)):
         raise ConfigError(
-            f"reward is {kind(reward)}; it takes a name, a Reward, or a function of (transition, settings)"
+            f"reward is {described(reward)}; it takes a name, a Reward, or a function of (transition, settings)"
         )
     settings = Reward(reward=reward) if isinstance(reward, str) else reward
     name = settings.reward

@@ -255,10 +255,8 @@ def turned_actions(actions: np.ndarray, before: World, after: World) -> np.ndarr
 def advance(world: World, velocity: np.ndarray, action: np.ndarray) -> World:
     """The world after a step with everybody's `velocity`, except the robot's, `action` (E, 2), in m/s.
 
-    `velocity` broadcasts to (E, N, 2).
-
-    A unicycle robot drives the part of the action that it can (`drive`). Raises ValueError for other shapes, and for an
-    action that is not finite.
+    `velocity` broadcasts to (E, N, 2). A unicycle robot drives the part of the action that it can (`drive`). Raises
+    ValueError for other shapes, and for an action that is not finite.
     """
     action = _checked(world, action, many=False)
     velocity = broadcast("velocity", velocity, world.position.shape).copy()

@@ -66,7 +66,7 @@ def descended(optimizer: str) -> str:
     steps, rng, losses = OPTIMIZERS[optimizer](network), np.random.default_rng(0), []
     for _ in range(40):
         rows = rng.choice(len(states), 100, replace=False)
-        losses.append(learn(network, steps, 1e-3, states[rows], values[rows]))
+        losses.append(learn(steps, 1e-3, states[rows], values[rows]))
     return digest(np.array(losses), network.flat)
 
 

@@ -176,3 +176,5 @@ def test_a_rate_is_no_count_and_a_policy_that_played_other_episodes_is_refused()
     assert metrics(record, policy)["recovered"] == 0
     with pytest.raises(ValueError, match="has just played 2 episodes, the record has 1"):
         metrics(record.take(0), policy)
+    with pytest.raises(ValueError, match="has just played 0 episodes, the record has 2"):
+        metrics(record, load_policy("sarl"))

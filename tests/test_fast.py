@@ -4,7 +4,7 @@ import os
 import pickle
 import subprocess
 import sys
-from copy import deepcopy
+from copy import copy, deepcopy
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def test_parameters_are_parts_of_one_array_and_copies_have_their_own():
     network = as_fast(ValueNetwork(value_prior=True, seed=2))
     states = random_states(8, 4)
     before = network.evaluate(states)[0]
-    for copied in (network.copy(), deepcopy(network), pickle.loads(pickle.dumps(network))):
+    for copied in (copy(network), deepcopy(network), pickle.loads(pickle.dumps(network))):
         np.testing.assert_array_equal(copied.evaluate(states)[0], before)
         copied.flat[:] = 0.0
         assert not any(parameter.any() for parameter in copied.parameters.values())

@@ -62,7 +62,7 @@ def test_steps_of_descent_are_those_of_torch_s_optimizers(name):
         states, values = random_batch(number)
         reference.param_groups[0]["lr"] = rate = 1e-3 / (number + 1)
         mirror.flat[:] = network.flat  # so that rounding does not add up
-        loss = learn(network, optimizer, rate, states, values)
+        loss = learn(optimizer, rate, states, values)
         assert loss == mirror.loss_and_gradients(states, values)[0]
         before = mirror.flat.copy()
         reference.step()
@@ -77,7 +77,7 @@ def test_flushing_negligible_gradients_spares_denormal_numbers_and_changes_no_pa
         optimizer = OPTIMIZERS[name](network)
         for number in range(1200):
             states, values = random_batch(number % 7, count=2, elements=2)
-            learn(network, optimizer, 1e-3, states * np.float32(50.0 if number < 3 else 1.0), values)
+            learn(optimizer, 1e-3, states * np.float32(50.0 if number < 3 else 1.0), values)
             if flushing and number % 200 == 0:
                 flush_negligible(optimizer)
         return network, optimizer.moments[0]
@@ -155,7 +155,7 @@ def test_a_fit_goes_on_to_the_same_bits_from_what_it_saved():
 def test_an_epoch_takes_every_state_once_in_another_order_each_time(monkeypatch):
     seen = []
 
-    def note(network, optimizer, rate, states, values):
+    def note(optimizer, rate, states, values):
         seen.append(values.tolist())
         return 0.0
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import nn
 
-from sfmrl.fast import Sizes
+from sfmrl.fast import Sizes, as_fast
 from sfmrl.network import ValueNetwork
 from sfmrl.states import OWN, column_names
 
@@ -35,7 +35,7 @@ def random_states(count: int, elements: int, forces: bool = False, seed: int = 0
 def test_value_and_attention_equal_crowdnav_s_with_its_weights(crowdnav, crowdnav_weights):
     network = ValueNetwork()
     network.load_state_dict(crowdnav_weights)
-    value, attention = network.evaluate(crowdnav["rotated"])
+    value, attention = as_fast(network).evaluate(crowdnav["rotated"])
     np.testing.assert_allclose(value, crowdnav["value"], rtol=0, atol=1e-5)
     np.testing.assert_allclose(attention, crowdnav["attention"], rtol=0, atol=1e-5)
 
@@ -49,7 +49,7 @@ def test_value_by_a_naive_loop_over_states_and_elements(sizes):
     network = ValueNetwork(forces=True, seed=5, sizes=sizes)
     states = random_states(6, 4, forces=True)
     states[2, 1, 8:] = np.nan
-    value, attention = network.evaluate(states)
+    value, attention = as_fast(network).evaluate(states)
     for b in range(6):
         rows = [torch.from_numpy(row) for row in states[b] if not np.isnan(row).any()]
         with torch.no_grad():
@@ -69,8 +69,8 @@ def test_the_prior_scales_the_value_by_the_distance_to_the_goal():
     plain, prior = ValueNetwork(seed=1), ValueNetwork(value_prior=True, seed=1)
     states = random_states(5, 3)
     states[..., 0] = np.array([0.1, 0.3, 1.0, 4.0, 8.0], dtype=np.float32)[:, None]
-    expected = 0.9 ** np.maximum(states[:, 0, 0] - 0.3, 0) * (0.8 + plain.evaluate(states)[0])
-    np.testing.assert_allclose(prior.evaluate(states)[0], expected, rtol=1e-5, atol=1e-6)
+    expected = 0.9 ** np.maximum(states[:, 0, 0] - 0.3, 0) * (0.8 + as_fast(plain).evaluate(states)[0])
+    np.testing.assert_allclose(as_fast(prior).evaluate(states)[0], expected, rtol=1e-5, atol=1e-6)
 
 
 def test_layers_have_the_sizes_of_the_paper_s_base():
@@ -103,8 +103,8 @@ def test_the_order_of_the_elements_does_not_matter(seed, order, forces):
     network = ValueNetwork(forces)
     states = random_states(4, 5, forces, seed)
     states[1, 2, network.own :] = np.nan
-    value, attention = network.evaluate(states)
-    shuffled, shares = network.evaluate(np.ascontiguousarray(states[:, order]))
+    value, attention = as_fast(network).evaluate(states)
+    shuffled, shares = as_fast(network).evaluate(np.ascontiguousarray(states[:, order]))
     np.testing.assert_allclose(shuffled, value, atol=1e-5)
     np.testing.assert_allclose(shares, attention[:, order], atol=1e-5)
 
@@ -117,8 +117,8 @@ def test_absent_elements_change_nothing(forces):
     padded[:, :, : network.own] = states[:, :1, : network.own]
     padded[:, [0, 2, 5]] = states
     padded[:, [1, 3, 4], network.own :] = np.nan
-    value, attention = network.evaluate(states)
-    with_absent, shares = network.evaluate(padded)
+    value, attention = as_fast(network).evaluate(states)
+    with_absent, shares = as_fast(network).evaluate(padded)
     np.testing.assert_allclose(with_absent, value, atol=1e-6)
     np.testing.assert_allclose(shares[:, [0, 2, 5]], attention, atol=1e-6)
     assert (shares[:, [1, 3, 4]] == 0).all()
@@ -128,8 +128,8 @@ def test_a_robot_alone_still_knows_where_its_goal_is():
     network = ValueNetwork()
     states = random_states(8, 2)
     states[:, :, network.own :] = np.nan
-    value, attention = network.evaluate(states)
+    value, attention = as_fast(network).evaluate(states)
     assert np.isfinite(value).all()
     assert len(np.unique(value)) == 8
     assert (attention == 0).all()
-    assert network.evaluate(np.empty((0, 2, 13), dtype=np.float32))[0].shape == (0,)
+    assert as_fast(network).evaluate(np.empty((0, 2, 13), dtype=np.float32))[0].shape == (0,)

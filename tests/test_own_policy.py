@@ -172,6 +172,8 @@ class Broken:
             return action
         if self.what == "notes":
             return action, {"values": [0.5] * 3}
+        if self.what == "shape":
+            return action, {"own": np.zeros((len(world), 1 + world.steps.max()))}
         return action, {"values": np.full(len(world), 0.5)}
 
     def __call__(self, world, crowd_velocity):
@@ -193,6 +195,10 @@ def fails_to_explain():
 
 def wrong_notes():
     return Broken("notes")
+
+
+def other_notes_later():
+    return Broken("shape")
 
 
 def notes_of_its_own():
@@ -234,6 +240,7 @@ def fails_later():
         ("takes_one", "define it with the arguments (scenes, simulation)"),
         ("fails_to_explain", "must return (actions, notes), the notes a dict"),
         ("wrong_notes", "must return its notes as arrays with a row for each episode"),
+        ("other_notes_later", "the policy's note 'own' has another shape or type than at the first step"),
         ("no_batch", "batch is 0; it must be at least 1"),
     ],
 )

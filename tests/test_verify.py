@@ -18,7 +18,7 @@ import pytest
 from sfmrl.config import Config, ConfigError
 from sfmrl.evaluation import RATES
 from sfmrl.lessons import Finding
-from sfmrl.lessons.handed_in import runs_in
+from sfmrl.lessons.handed_in import runs_in, same_weights
 from sfmrl.lessons.rerun import Disagreement, Rerun
 from sfmrl.lessons.verify import TOLERANCE, verify
 from sfmrl.network import ValueNetwork
@@ -349,6 +349,13 @@ def test_several_runs_and_archives_have_a_line_each_and_copies_are_named(sfmrl, 
     assert second == f"bob.zip: rl: the same weights as {copy / 'rl'}: a copy, or the same command and seed"
     assert done.returncode == 0  # an honest run of the same command gives the same weights
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_copy_whose_config_was_edited_is_named(copy):
+    network, config = load_weights(copy / "rl" / "weights.npz")
+    shutil.copytree(copy / "rl", copy / "edited")
+    save_weights(network, replace(config, seed=config.seed + 7), copy / "edited" / "weights.npz")
+    assert same_weights({"first": copy / "rl", "second": copy / "edited", "il": copy / "il"}) == {"second": "first"}
 
 
 def test_what_cannot_be_read_has_a_line_and_the_others_are_judged(sfmrl, copy, tmp_path):

@@ -40,7 +40,7 @@ def test_a_weights_file_gives_back_network_and_config(tmp_path):
     loaded, read = load_weights(tmp_path / "weights.npz")
     assert read == config
     states = np.random.default_rng(0).normal(size=(5, 4, 17)).astype(np.float32)
-    np.testing.assert_array_equal(loaded.evaluate(states)[0], network.evaluate(states)[0])
+    np.testing.assert_array_equal(loaded.evaluate(states)[0], as_fast(network).evaluate(states)[0])
 
 
 def test_a_weights_file_of_an_older_version_is_refused_with_its_version(tmp_path):
@@ -51,12 +51,14 @@ def test_a_weights_file_of_an_older_version_is_refused_with_its_version(tmp_path
 
 
 def test_an_exported_network_is_a_checkpoint_that_torch_and_sfmrl_load(tmp_path):
-    network = as_fast(ValueNetwork(forces=True, seed=6))
-    export_weights(network, tmp_path / "rl_model.pth")
-    module = ValueNetwork(forces=True)
-    module.load_state_dict(torch.load(tmp_path / "rl_model.pth", weights_only=True))
-    np.testing.assert_array_equal(as_fast(module).flat, network.flat)
-    np.testing.assert_array_equal(load_weights(tmp_path / "rl_model.pth")[0].flat, network.flat)
+    definition = ValueNetwork(forces=True, seed=6)
+    network = as_fast(definition)
+    for given in (network, definition):
+        export_weights(given, tmp_path / "rl_model.pth")
+        module = ValueNetwork(forces=True)
+        module.load_state_dict(torch.load(tmp_path / "rl_model.pth", weights_only=True))
+        np.testing.assert_array_equal(as_fast(module).flat, network.flat)
+        np.testing.assert_array_equal(load_weights(tmp_path / "rl_model.pth")[0].flat, network.flat)
 
 
 def test_a_plain_crowdnav_checkpoint_is_a_policy(tmp_path, crowdnav_weights):

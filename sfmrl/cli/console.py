@@ -24,7 +24,7 @@ ROWS_WITH_INTERVALS = 7  # of metrics; more rows have a line each
 
 class _Console(Console):
     def on_broken_pipe(self) -> None:
-        """End quietly when the reader of results has seen enough; without a reader of messages, work on in silence."""
+        """Exit with 0 if the pipe at standard output is closed; go on without messages if that at standard error is."""
         os.dup2(os.open(os.devnull, os.O_WRONLY), (sys.stderr if self.stderr else sys.stdout).fileno())
         if not self.stderr:
             raise typer.Exit(0)

@@ -99,7 +99,8 @@ class Crowd:
         self.terms = reward_terms(self.reward)
         self.scene: dict[str, Any] = {"environment": environment, "phase": phase}
         self.following: int | None = None  # number of the next episode
-        self._ahead = self.world, self.labels = self._prepare(range(1))
+        self._ahead = self._prepare(range(1))  # one scene, from which the spaces are made
+        self.world, self.labels = self._ahead
 
     def start(self, rng: np.random.Generator, seeded: bool, options: dict[str, Any]) -> None:
         """Start the episodes from number `options["episode"]` on, else from a random one if `seeded`, else the next."""
@@ -160,7 +161,8 @@ class Crowd:
         first = number - int(world.episode[0])
         if not 0 <= first <= len(world) - count:
             first, most = 0, max(self.count, AHEAD)
-            world, labels = self._ahead = self._prepare(range(number, number + most))
+            self._ahead = self._prepare(range(number, number + most))
+            world, labels = self._ahead
         self.following = number + count
         return world.take(slice(first, first + count)), labels[first : first + count]
 
@@ -174,7 +176,6 @@ def _joined(*worlds: World) -> World:
         start, end = end, end + len(world)
         values[:, : world.edges.values.shape[1], start:end] = world.edges.values
     edges = Edges(values, np.concatenate([world.edges.origin for world in worlds]))
-    each = ["position", "velocity", "steps", "goal", "radius", "v_pref", "preferred_speed", "square", "episode"]
-    each += ["heading"] if worlds[0].heading is not None else []
-    joined: dict[str, Any] = {name: np.concatenate([getattr(world, name) for world in worlds]) for name in each}
+    arrays = [name for name, part in vars(worlds[0]).items() if isinstance(part, np.ndarray)]
+    joined: dict[str, Any] = {name: np.concatenate([getattr(world, name) for world in worlds]) for name in arrays}
     return replace(worlds[0], edges=edges, **joined)

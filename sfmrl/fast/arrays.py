@@ -15,7 +15,7 @@ _arrays = threading.local()
 class Layers(dict[str, np.ndarray]):
     """Layers' outputs by name for states (E, A, K, F): arrays with a row for each element or for each state.
 
-    An episode has `element_rows` or `state_rows` of them, multiples of ROWS; those after its A K or A own are padding.
+    An episode takes `element_rows` or `state_rows` of them, multiples of ROWS: A K elements or A states, then padding.
     """
 
     def __init__(self, parameters: Parameters, shape: tuple[int, ...], element_rows: int, state_rows: int) -> None:
@@ -33,7 +33,7 @@ class Layers(dict[str, np.ndarray]):
         return x.reshape(self.shape[0], self.state_rows, -1)[:, : self.shape[1]]
 
     def padded(self, name: str, columns: int, rows: int | None = None, used: int | None = None) -> np.ndarray:
-        """An array of `rows` (default `state_rows`) per episode, zeros after the `used` ones (default A)."""
+        """An array of `rows` rows per episode (default `state_rows`), those from `used` on (default A) zeros."""
         rows, used = rows or self.state_rows, used or self.shape[1]
         self[name] = array(name, self.shape[0] * rows, columns)
         self[name].reshape(-1, rows, columns)[:, used:] = 0

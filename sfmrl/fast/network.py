@@ -69,10 +69,6 @@ class FastNetwork:
         for name, value in self.parameters.items():
             value[...] = parameters[name].T
 
-    def copy(self) -> "FastNetwork":
-        """The same network with parameters of its own."""
-        return FastNetwork(self.state_dict(), self.value_prior)
-
     def __reduce__(self) -> tuple:  # for pickle and copy: `parameters` must stay parts of `flat`
         return FastNetwork, (self.state_dict(), self.value_prior)
 

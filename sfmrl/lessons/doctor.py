@@ -39,7 +39,7 @@ def examine(console: Console) -> Iterator[Finding]:
         try:
             yield check()
         except Exception as error:
-            yield Finding(what, False, f"{type(error).__name__}: {error}", f"{REINSTALL} numpy torch")
+            yield Finding(what, False, f"{type(error).__name__}: {error}", f"{REINSTALL} numpy")
 
 
 def _terminal(console: Console) -> Finding:
@@ -60,7 +60,7 @@ def _orca() -> Finding:
 
     successes = int((play(sample_scenes("circle5", 16), "orca").outcome == "success").sum())
     said = f"reaches the goal in {successes} of 16 episodes among five people"
-    return Finding("ORCA", successes >= 12, said, f"{REINSTALL} numpy torch")
+    return Finding("ORCA", successes >= 12, said, f"{REINSTALL} numpy")
 
 
 def _two_threads() -> Finding:

@@ -4,14 +4,15 @@ import tarfile
 import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import accumulate
 from pathlib import Path
 
 from sfmrl.config import ConfigError
 from sfmrl.lessons.verify import require_run
-from sfmrl.runs.files import DamagedFile, digest_of, regular
+from sfmrl.runs.files import DamagedFile, regular
 from sfmrl.runs.folders import WEIGHTS
+from sfmrl.runs.weights import load_weights
 
 LARGEST = 2**30  # bytes that an archive may unpack to: a run takes some megabytes
 
@@ -50,11 +51,12 @@ def same_weights(folders: dict[str, Path]) -> dict[str, str]:
 
     Copies have the same weights, but so have two runs of the same command, seed and version on like processors.
     """
-    first: dict[str, str] = {}
+    first: dict[bytes, str] = {}
     same = {}
     for name, folder in folders.items():
-        if (folder / WEIGHTS).is_file():
-            earlier = first.setdefault(digest_of(folder / WEIGHTS), name)
+        with suppress(ConfigError, DamagedFile, OSError):  # which `verify` reports
+            network, _ = load_weights(folder / WEIGHTS)  # the file's digest would change with the config in it
+            earlier = first.setdefault(network.flat.tobytes(), name)
             if earlier != name:
                 same[name] = earlier
     return same

@@ -71,7 +71,7 @@ class Rerun:
         return self.judged(what, record, outcome, steps.astype(int), stored == again, reward)
 
     def recovery(self, run: Run) -> str:
-        """Compare test episodes with recovery with the list of their failures, all of them that is on file."""
+        """Compare test episodes with recovery with the list of their failures, the only record of them."""
         record, whole = self._play(run, recover=True), run.config.reinforcement.test_episodes
         stored = outcomes(result_of(run)["with_recovery"], whole)
         return self.judged(f"of {counted(whole, 'test episode')}", record, np.array(stored))

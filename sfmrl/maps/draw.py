@@ -50,7 +50,7 @@ def draw_map(scenes: Scenes, episode: int = 0) -> str:
 
 
 def why_unsolvable(scenes: Scenes, time_limit: float) -> str | None:
-    """Why squares or distance let no policy reach the first episode's goal in `time_limit` s; None if they do not."""
+    """Why no policy can reach the first episode's goal in `time_limit` s; None if one could."""
     way = float(shortest_path(scenes.take([0]))[0])
     if np.isinf(way):
         return "unsolvable: the squares leave no path to the goal (a passage must be at least two characters wide)"

@@ -8,13 +8,13 @@ nothing.
 The paper adds one half-plane after the other. Here all programs take the same three steps instead:
 1. the best velocity of the disc; if some half-plane forbids it,
 2. the best velocity of the disc on the line that it violates most; if some half-plane forbids that one,
-3. the best permitted velocity on each line violated by it. One of them is the optimum, for the way from the optimum to
-   any velocity that is best under fewer constraints leads out of one of the half-planes that hold the optimum.
+3. the best permitted velocity on each line violated by it. One of them is the optimum: the optimum lies on the
+   boundaries of some half-planes, and a velocity that is better under fewer constraints must violate one of these.
 
-Where no velocity fits, the greatest violation of the soft half-planes is minimised. One of them, the carrier, is
-violated most at that optimum, and being so is again a set of half-planes, those of its bisectors with the others: the
-carrier's own violation is minimised in it by the same steps, the second taken twice, since many half-planes are
-violated then. Every velocity violates at least one carrier.
+Where no velocity is permitted, the largest violation of a soft half-plane is minimised. At that minimum some
+half-plane, the carrier, is violated most. The velocities at which a given carrier is violated most form half-planes
+again, bounded by its bisectors with the others. So the same steps minimise the carrier's violation within these; step
+2 runs twice, since many half-planes are violated then. Every velocity violates some carrier most.
 
 Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, sections 5.2 and 5.3; de Berg et al.,
 "Computational Geometry", chapter 4. Left out: the random order of insertion, which only the paper's way needs.

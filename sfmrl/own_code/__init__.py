@@ -76,7 +76,7 @@ def checked_array(who: str, function: Callable, returned: Any, shape: tuple[int,
     except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor that requires a gradient
         array = np.array(np.nan)
     if array.shape != shape:
-        what = f"an array of shape {array.shape}" if array.ndim else kind(returned)
+        what = f"an array of shape {array.shape}" if array.ndim else described(returned)
         raise ConfigError(f"{who} returned {what}; it must return an array of shape {shape}, {meaning}")
     if not np.isfinite(array).all():
         raise ConfigError(f"{who} returned NaN or infinity; it must return finite numbers, {meaning}")
@@ -94,7 +94,7 @@ def name_of(function: Callable) -> str:
     return getattr(function, "__name__", type(function).__name__)
 
 
-def kind(thing: Any) -> str:
+def described(thing: Any) -> str:
     """A value of the wrong type, for error messages: text and numbers themselves, the type of all else."""
     return repr(thing) if isinstance(thing, (str, int, float, type(None))) else f"a {type(thing).__name__}"
 
@@ -113,7 +113,7 @@ class OwnPolicy:
             self.own = guarded(f"policy {name}", "failed", self._file, self.own)
             if not callable(self.own):
                 raise ConfigError(
-                    f"policy {name} returned {kind(self.own)}; it must return a policy, {ARGUMENTS['policy']}"
+                    f"policy {name} returned {described(self.own)}; it must return a policy, {ARGUMENTS['policy']}"
                 )
 
     def __repr__(self) -> str:

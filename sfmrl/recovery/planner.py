@@ -31,7 +31,7 @@ SOLID = 1e4  # ... and of a metre on which it touches one
 UNREACHABLE = 500.0  # m: longer than any detour, shorter than a cell of a square
 FARTHEST = 150.0  # m from the robot's start to squares that `shortest_path` heeds, for which a grid has room
 TOGETHER = MOST_CELLS // MOST_ACROSS**2  # scenes whose grids together are never too large
-NO_INFLATION = Planner(inflation=0.0)  # paths may touch the squares' outlines
+NO_INFLATION = Planner(inflation=0.0)  # no cost beside squares; touching one is SOLID
 GRID_ERROR = 1.015  # no distance over a grid is longer than this, times the true one
 
 

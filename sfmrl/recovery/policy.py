@@ -39,6 +39,7 @@ class RecoveringPolicy:
             farther.trap_steps = TRAP_STEPS
             self.policy = policy.around(farther) if isinstance(policy, OwnPolicy) else farther
         self._geodesics: Geodesics | None = None
+        self.helped = np.zeros(0, dtype=bool)
 
     def __repr__(self) -> str:
         return f"RecoveringPolicy({self.original!r})"

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sfmrl.config import ConfigError
-from sfmrl.fast import FastNetwork
+from sfmrl.fast import as_fast
 from sfmrl.fast.layers import Parameters, Sizes, layer_shapes
 from sfmrl.runs.files import DamagedFile, read_regular, write_atomically
 from sfmrl.states import OWN, column_names
@@ -123,10 +123,11 @@ def _check_shapes(arrays: Parameters) -> None:
             raise ValueError(f"{name} is {arrays[name].shape}, not {shape}")
 
 
-def export_weights(network: FastNetwork, path: Path) -> str:
+def export_weights(network: Any, path: Path) -> str:
     """Write a network as a checkpoint that CrowdNav's SARL loads (.pth, torch's format); returns its SHA-256.
 
-    Raises ConfigError for a network with `value_prior`, which CrowdNav would play without.
+    `network` is a FastNetwork or a ValueNetwork. Raises ConfigError if it has `value_prior`, which CrowdNav would not
+    add.
     """
     if network.value_prior:
         raise ConfigError(
@@ -136,7 +137,7 @@ def export_weights(network: FastNetwork, path: Path) -> str:
     import torch
 
     buffer = io.BytesIO()
-    torch.save({name: torch.from_numpy(value) for name, value in network.state_dict().items()}, buffer)
+    torch.save({name: torch.from_numpy(value) for name, value in as_fast(network).state_dict().items()}, buffer)
     return write_atomically(Path(path), buffer.getvalue(), checked=False)
 
 

@@ -53,9 +53,11 @@ class Explorer:
         Without a second process, that function plays, with the actor as it is then. With one, the actor must not change
         before that function returns.
         """
-        work, future = partial(_explore, *self._setup, self._own_reward, actor.flat, episodes), None
-        with suppress(BrokenProcessPool):
-            future = self._pool and self._pool.submit(work)
+        work = partial(_explore, *self._setup, self._own_reward, actor.flat, episodes)
+        future = None
+        if self._pool:
+            with suppress(BrokenProcessPool):
+                future = self._pool.submit(work)
 
         def outcome() -> Explored:
             with suppress(BrokenProcessPool):

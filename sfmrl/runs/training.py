@@ -72,10 +72,11 @@ def run_reinforcement(run: Run, progress: Progress, stop: StopSignal, say: Say, 
     learner = start_learner(run, progress, stop, say)
     for name, rows in (("metrics.csv", learner.rows), ("validation.csv", learner.validations)):
         write_text(run.folder / name, csv_text(rows))  # drop the rows that a killed run added after its checkpoint
-    aside = settings.parallel > 1 and threads > 1
-    sizes, left = learner.network.sizes, settings.episodes - learner.episode
-    setup = config, threads - aside, aside, sizes, run.facts.get("own_reward")
-    with Explorer(*setup) as explorer, progress("reinforcement", left) as advance:
+    aside, left = settings.parallel > 1 and threads > 1, settings.episodes - learner.episode
+    explorer = Explorer(
+        config, threads - 1 if aside else threads, aside, learner.network.sizes, run.facts.get("own_reward")
+    )
+    with explorer, progress("reinforcement", left) as advance:
         while True:
             if due(learner, settings):
                 validate(run, learner, stop, say, threads)
@@ -121,7 +122,7 @@ def start_learner(run: Run, progress: Progress, stop: StopSignal, say: Say) -> L
         network, trained = load_weights(run.imitation / WEIGHTS)
         if needs_fit(trained, config):
             state = f"reward {config.reward.reward} and {len(column_names(config.forces))} state columns"
-            other = f"{run.imitation} was trained with another reward, discount, state, value prior or settings of il"
+            other = f"{run.imitation} was trained with another reward, discount, state or value prior"
             say(f"{other}: learning from its demonstrations again, with {state}")
             network = fit(run, memory, saved, progress, stop)
     return Learner(network, memory, config)
@@ -130,11 +131,9 @@ def start_learner(run: Run, progress: Progress, stop: StopSignal, say: Say) -> L
 def needs_fit(trained: Config, config: Config) -> bool:
     """Whether a training under `config` must fit again the demonstrations of an imitation `trained` under another.
 
-    It must if the state differs and, where `refit` is on, if the reward, the discount or the fit's settings differ.
+    It must if the state or the value prior differs and, where `refit` is on, if the reward or the discount differs.
     """
-    names = ["forces", "value_prior"]
-    if config.imitation.refit:
-        names += ["discount", "reward", "imitation"]
+    names = ["forces", "value_prior"] + ["discount", "reward"] * config.imitation.refit
     return any(getattr(trained, name) != getattr(config, name) for name in names)
 
 

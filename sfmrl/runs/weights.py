@@ -117,7 +117,8 @@ def find_weights(name_or_path: str | Path) -> Path:
     for name in (CHECKPOINT, WEIGHTS):
         if (path / name).exists():
             return path / name
-    raise ConfigError(f"{path} is not a run folder: it has neither run.json nor {WEIGHTS}; name one that has")
+    missing = f"it has none of run.json, {CHECKPOINT} and {WEIGHTS}"
+    raise ConfigError(f"{path} holds no network: {missing}; name a folder that has one")
 
 
 def model_names() -> list[str]:

@@ -13,8 +13,6 @@ from rich.text import Text
 
 from sfmrl.study.statistics import CONTRASTED
 
-PAPERS = ("success", "collision", "navigation_time", "total_reward")  # metrics that the paper reports, too
-
 
 @dataclass(frozen=True)
 class Sheet:
@@ -91,7 +89,7 @@ def sheets(summary: list[dict[str, Any]], contrasts: list[dict[str, Any]], title
     course, training = _common([_course(row) for row in summary], ("episodes", "steps", "runs"))
     pages = {
         f"{title}; 95 % intervals over seeds (Student's t)": [_rates(row) for row in summary],
-        "Success of every seed; Wilson: the 95 % interval of a network with the mean success": [
+        "Success of every seed; Wilson: the 95 % interval of a network with the mean success, in whole episodes": [
             _points(row, seeds, named) for row in summary
         ],
         f"Time with time-outs as 25 s, without collisions; training until validation success 0.9{training}": course,
@@ -183,7 +181,7 @@ def csv_rows(summary: list[dict[str, Any]], contrasts: list[dict[str, Any]]) -> 
 
     for row in summary:
         for metric, figure in row["figures"].items():
-            paper = "/".join(map(str, row["paper"][metric])) if metric in PAPERS else ""
+            paper = "/".join(map(str, row["paper"].get(metric, ())))
             add(row["row"], metric, "all", figure["mean"], **figure, paper=paper)
             for seed, value in zip(row["seeds"], figure["values"], strict=True):
                 add(row["row"], metric, seed, value)

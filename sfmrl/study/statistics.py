@@ -88,10 +88,9 @@ def _standard_error(values: np.ndarray) -> float:
 def mean_difference(gaps: np.ndarray, exact_below: int = 0, most: float = math.inf) -> dict[str, Any]:
     """Return the figure of paired differences `gaps` (N,), N >= 1: Student's t interval, p of the t-test.
 
-    The interval is cut to differences from -`most` to `most`.
-
-    Where there is no interval, p is that of the exact sign test: 1 for a single pair. With fewer than `exact_below`
-    pairs, p is the larger of the two: for differences that are far from normal, such as multiples of a time step.
+    The interval is cut to differences from -`most` to `most`. Where there is none, p is that of the exact sign test: 1
+    for a single pair. With fewer than `exact_below` pairs, p is the larger of the two, for differences that are far
+    from normal, such as multiples of a time step.
     """
     gaps = np.asarray(gaps, dtype=float)
     mean, (low, high) = float(gaps.mean()), mean_interval(gaps, -most, most)

@@ -22,7 +22,7 @@ MOST_SEEDS = 1000  # of a table
 VALIDATION_INTERVAL = {"paper": 1000, "quick": 250}  # episodes; the paper's figure has a point every 1000
 EARLY = 0.25  # the first part of a training, for the early metrics
 REACHED = 0.9  # validation success
-TIME_CHARGED = 25.0  # s, which a time-out counts in the navigation time with time-outs
+TIME_CHARGED = 25.0  # s for a time-out, in `navigation_time_charged`
 
 
 @dataclass(frozen=True)
