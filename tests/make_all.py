@@ -1,4 +1,4 @@
-"""Train and test everything that the project reports: `python tests/make_all.py FOLDER`.
+"""Train and test what has a file in tutorials/results/ or sfmrl/models/: `python tests/make_all.py FOLDER`.
 
 It takes days of two cores, and can be stopped: the same command goes on. What is finished stays in FOLDER. After a
 change of the recipe, begin with an empty FOLDER, and delete the files in tutorials/results/. Figures go there, networks
