@@ -42,8 +42,8 @@ INGREDIENTS: dict[str, tuple[str, str, str, str]] = {
     "falling share of random actions": ("epsilon", "", "", "--epsilon-start 0.1 --epsilon-end 0.1"),
     "one fit instead of two": ("refit", "", "--refit", ""),
     "batches of 200": ("batches", "", "--batch-size 100", "--batch-size 100 --batches 12"),
-    "reinforcement": ("imitated", "", "", "--learning-rate 0"),
-    "all learning": ("untrained", "", "--learning-rate 0", "--learning-rate 0"),
+    "reinforcement": ("imitated", "", "", "--learning-rate 0 --episodes 1"),
+    "all learning": ("untrained", "", "--learning-rate 0 --epochs 1", "--learning-rate 0 --episodes 1"),
 }
 FIGURES = ("success", "collision", "timeout", "navigation_time", "total_reward", "success_among_few")
 CHANGES = ("success", "navigation_time", "total_reward", "success_among_few")

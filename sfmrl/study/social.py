@@ -61,16 +61,17 @@ def social_values(record: Record) -> dict[str, np.ndarray]:
     approach = record.velocity[:, :-1, 1:] - record.velocity[:, :-1, :1]
     reach = record.scenes.radius[:, :1] + record.scenes.radius[:, 1:]
     action = record.velocity[:, 1:, 0]  # (E, T, 2): what the robot did in each step
-    path = np.nansum(length(np.diff(record.position[:, :, 0], axis=1)), axis=-1)
+    path = _summed(length(np.diff(record.position[:, :, 0], axis=1)))
     force = repulsive_forces(-offset)
-    change = np.nansum(length(np.diff(action, 2, axis=1)), axis=-1) / dt**2  # (E,) m/s^3, of all steps together
+    change = _summed(length(np.diff(action, 2, axis=1))) / dt**2  # (E,) m/s^3, of all steps together
     work = length(resultant(force)) + np.nansum(length(force), axis=-1)
     nearest = np.where(played, gap, np.inf).min(axis=1)  # m, infinite without people
-    soonest = _time_to_collision(offset, approach, reach[:, None]).min(axis=(1, 2), initial=LONGEST_TTC)
+    until = np.where(played[..., None], _time_to_collision(offset, approach, reach[:, None]), np.inf)  # (E, T, H) s
+    soonest = until.min(axis=(1, 2), initial=LONGEST_TTC)
     with np.errstate(invalid="ignore"):
         return {
             "danger_frequency": danger.sum(axis=1) / steps,
-            "danger_separation": _ratio(np.where(danger, gap, 0.0).sum(axis=1), danger.sum(axis=1)),
+            "danger_separation": _ratio(_summed(np.where(danger, gap, 0.0)), danger.sum(axis=1)),
             "path_length": path,
             "spl": _spl(record, path),
             "min_gap": np.where(np.isfinite(nearest), nearest, np.nan),
@@ -78,7 +79,7 @@ def social_values(record: Record) -> dict[str, np.ndarray]:
             "min_ttc": np.where(np.isfinite(nearest), soonest, np.nan),
             "jerk": _ratio(change, np.maximum(steps - 2, 0)),
             "heading_change": _turned(action),
-            "social_work": np.where(played, work, 0.0).sum(axis=1) * dt,
+            "social_work": _summed(np.where(played, work, 0.0)) * dt,
         }
 
 
@@ -133,7 +134,15 @@ def _turned(velocity: np.ndarray) -> np.ndarray:
     last = np.where(last < 0, moving.argmax(axis=1)[:, None], last)
     angle = np.take_along_axis(np.arctan2(velocity[..., 1], velocity[..., 0]), last, axis=1)
     turn = np.diff(np.where(moving.any(axis=1, keepdims=True), angle, 0.0), axis=1)
-    return np.abs(wrapped(turn)).sum(axis=1)
+    return _summed(np.abs(wrapped(turn)))
+
+
+def _summed(values: np.ndarray) -> np.ndarray:
+    """Sums (E,) of values (E, T), with NaN as 0: step by step, so that zeros after an episode's end change no bit."""
+    total = np.zeros(len(values))
+    for value in np.nan_to_num(values).T:
+        total += value
+    return total
 
 
 def _ratio(total: np.ndarray, count: np.ndarray) -> np.ndarray:
