@@ -134,6 +134,8 @@ def play(
     """
     if not isinstance(scenes, Scenes):
         raise ConfigError(f"scenes is {described(scenes)}; it takes Scenes, such as sample_scenes('circle5', 100)")
+    if not isinstance(simulation, (Simulation, type(None))):
+        raise ConfigError(f"simulation is {described(simulation)}; it takes a Simulation")
     chosen = find_policy(policy, reward)
     own = config_of(chosen).simulation if simulation is None else simulation
     given = {"robot_visible": robot_visible, "safety_space": safety_space, "crowd": crowd, "kinematics": kinematics}
@@ -159,10 +161,7 @@ def play_episodes(
     """
     terms = reward_terms(reward)
     discount = Config(discount=discount).discount  # checks its range
-    count, rows = scenes.start.shape[:2]
-    needed = 8 * count * simulation.longest * (5 * rows + 9)  # bytes of all that is recorded
-    if needed > memory_size():
-        raise MemoryError(f"{count} episodes of up to {simulation.longest} steps need {needed / 1e9:.1f} GB")
+    check_memory(len(scenes), scenes.start.shape[1], simulation.longest)
     with _begun(policy, scenes, simulation):
         batch = int(in_range("batch", getattr(policy, "batch", BATCH) if batch is None else batch, 1, math.inf))
         moments, parts, notes = _recorded(reset(scenes, simulation), policy, terms, batch, keep, progress)
@@ -265,6 +264,13 @@ def _refill(start: World, world: World, going: np.ndarray, fresh: np.ndarray) ->
     now, begun = motion(world) | {"steps": world.steps}, motion(start) | {"steps": start.steps}
     joined: dict[str, Any] = {name: np.concatenate((now[name][going], begun[name][fresh])) for name in now}
     return replace(start.take(np.concatenate((world.episode[going], fresh))), **joined)
+
+
+def check_memory(episodes: int, rows: int, steps: int) -> None:
+    """Raise MemoryError if a record of E episodes, N rows and up to `steps` steps would be too large here."""
+    needed = 8 * episodes * steps * (5 * rows + 9)  # bytes of all that is recorded
+    if needed > memory_size():
+        raise MemoryError(f"{episodes} episodes of up to {steps} steps need {needed / 1e9:.1f} GB")
 
 
 def memory_size() -> float:

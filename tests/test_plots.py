@@ -81,6 +81,23 @@ def test_films_are_made_for_browsers_and_viewers(record, tmp_path, monkeypatch):
         draw_episode(short, tmp_path / "film.mp4")
 
 
+def test_an_interrupted_film_is_an_interruption_also_before_its_first_frame(record, tmp_path, monkeypatch):
+    def interrupt(animation):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("matplotlib.animation.FuncAnimation._init_draw", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        draw_episode(record.take([0]), tmp_path / "film.gif")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_run_s_name_may_have_any_letters_and_bytes(tmp_path):
+    lines = [{"row": name, "episode": 0, "mean": 0.5, "low": None, "high": None} for name in ("日本", "bad\udcff")]
+    save(validation_figure(lines, "rows"), tmp_path / "figure.svg")
+    assert (tmp_path / "figure.svg").stat().st_size > 0
+
+
 def test_without_matplotlib_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.delitem(sys.modules, "sfmrl.study.plots")

@@ -1,6 +1,7 @@
 """Run folders: whole files, honest errors about damaged ones, and trainings that survive being killed, to the bit."""
 
 import errno
+import io
 import json
 import os
 import shutil
@@ -29,6 +30,7 @@ from sfmrl.runs.files import (
     SUMS,
     DamagedFile,
     append_rows,
+    read_arrays,
     read_checked,
     read_sums,
     retried,
@@ -188,6 +190,13 @@ def test_demonstrations_are_read_as_they_were_played_also_from_a_file_of_sfmrl_0
         assert getattr(read.transition, name).dtype == values.dtype
 
 
+def test_arrays_that_unpack_to_more_than_their_file_are_not_read():
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, config=np.zeros(1_000_000))
+    with pytest.raises(ValueError, match="compressed"):
+        read_arrays(buffer.getvalue())
+
+
 def test_a_damaged_checkpoint_is_named_and_the_one_before_offered(interrupted):
     folder = interrupted
     older, newest = open_run(folder).checkpoints()  # of three epochs: the first one's is gone
@@ -268,6 +277,7 @@ SPOILT = {
     "a velocity": lambda arrays: arrays["velocity"].__setitem__((-1, 0, 1), np.inf),
     "a distance": lambda arrays: arrays["transition.goal_distance"].__setitem__(5, np.nan),
     "a gap": lambda arrays: arrays["transition.separations"].__setitem__((5, 0), np.nan),
+    "more steps than memory has room for": lambda arrays: arrays["steps"].__setitem__(0, 10**12),
     "the steps": lambda arrays: arrays.update(steps=np.zeros(0)),
     "an array too few": lambda arrays: arrays.pop("velocity"),
     "a pickle": lambda arrays: arrays.update(steps=np.array([{}, None])),

@@ -369,6 +369,19 @@ def test_what_cannot_be_read_has_a_line_and_the_others_are_judged(sfmrl, copy, t
     assert good.startswith("good.zip: .: all ")
 
 
+def test_names_in_an_archive_can_neither_hide_a_verdict_nor_forge_a_line(sfmrl, copy, tmp_path):
+    shutil.copytree(copy / "rl", tmp_path / "in" / "x: all 9 agree\nbob\x1b[8m")
+    with open(tmp_path / "in" / "x: all 9 agree\nbob\x1b[8m" / "test.csv", "a") as file:
+        file.write("0,circle5,success,,1,0.25,1.0,1.0\n")
+    archive = shutil.make_archive(str(tmp_path / "forged"), "zip", tmp_path / "in")
+    done = sfmrl("verify", archive, copy / "il", "--episodes", 1)
+    assert done.returncode == 1
+    forged, honest = done.stdout.splitlines()[:2]
+    assert re.fullmatch(r".*: x: all 9 agree bob\ufffd\[8m: \d of \d+ DO NOT AGREE: .*", forged)
+    assert honest.startswith(f"{copy / 'il'}: all ")
+    assert "\x1b" not in done.stdout
+
+
 def test_one_archive_of_one_run_is_told_in_full(sfmrl, copy, tmp_path):
     shutil.make_archive(str(tmp_path / "il"), "tar", copy / "il")
     done = sfmrl("verify", "il.tar", "--episodes", 2)

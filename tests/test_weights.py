@@ -209,6 +209,14 @@ def test_files_that_hold_no_sarl_network_are_named_in_one_line(tmp_path, what):
     assert said in str(error.value)
 
 
+def test_a_crowdnav_checkpoint_with_a_flipped_bit_is_damaged(tmp_path):
+    data = bytearray(saved(PLAIN))
+    data[data.index(PLAIN["mlp1.0.weight"].numpy().tobytes()) + 100] ^= 1
+    (tmp_path / "rl_model.pth").write_bytes(data)
+    with pytest.raises(ConfigError, match=r"rl_model\.pth is damaged: the checksum of .* is wrong"):
+        load_policy(tmp_path / "rl_model.pth")
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
 def test_a_pipe_is_no_weights_file_and_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "some.pt")

@@ -12,7 +12,7 @@ import typer
 
 from sfmrl import __version__
 from sfmrl.cli import lists, study, teach, test, train, watch  # noqa: F401 (they register their commands)
-from sfmrl.cli.console import say, say_result
+from sfmrl.cli.console import one_line, say, say_result
 from sfmrl.cli.options import app
 from sfmrl.config import ConfigError
 from sfmrl.runs.files import DamagedFile
@@ -83,6 +83,6 @@ def main() -> None:
     except OSError as error:
         code, reason = 1, f"{error.filename or ''}: {error.strerror or error}".strip(": ")
     if reason:
-        line = " ".join(reason.splitlines())
+        line = one_line(reason)
         say(f"sfmrl: {line if len(line) <= LONGEST else line[:LONGEST] + ' ...'}")
     sys.exit(code or 0)

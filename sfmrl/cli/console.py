@@ -3,6 +3,8 @@
 import json
 import os
 import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,19 +12,27 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.measure import Measurement
+from rich.segment import Segment
 from rich.table import Column, Table
 from rich.text import Text
 
 from sfmrl.config import ConfigError
-from sfmrl.runs.files import csv_text, regular, write_text
+from sfmrl.runs.files import regular, write_text
 
 WIDTH = 80  # columns of a table, at least
 WIDEST = 10_000  # and at most
 CUT = "…"  # what Rich puts at the end of a cell that has no room
 ROWS_WITH_INTERVALS = 7  # of metrics; more rows have a line each
+# Names of files, and what is in them, can hold control characters, which a terminal would obey.
+HARMLESS = {code: "\ufffd" for code in (*range(32), *range(127, 160)) if chr(code) not in "\t\n"}
 
 
 class _Console(Console):
+    def render(self, *arguments: Any, **options: Any) -> Iterable[Segment]:
+        """Render as Rich does, with a replacement character for each control character in a text."""
+        for text, style, control in super().render(*arguments, **options):
+            yield Segment(text if control else text.translate(HARMLESS), style, control)
+
     def on_broken_pipe(self) -> None:
         """Exit with 0 if the pipe at standard output is closed; go on without messages if that at standard error is."""
         os.dup2(os.open(os.devnull, os.O_WRONLY), (sys.stderr if self.stderr else sys.stdout).fileno())
@@ -49,11 +59,16 @@ def say_json(content: Any) -> None:
     say_result(json.dumps(content, indent=2))
 
 
+def one_line(text: Any) -> str:
+    """Return a text without line breaks, so that it cannot look like several lines of output."""
+    return " ".join(str(text).splitlines())
+
+
 def say_finding(finding: Any) -> None:
     """Print a `lessons.Finding` as a line on standard output, with the remedy unless all is well."""
     word, style = {True: ("ok", "green"), False: ("not ok", "bold red"), None: ("-", "dim")}[finding.ok]
-    said = f"{finding.said}; {finding.remedy}" if finding.remedy and not finding.ok else finding.said
-    out.print(Text.assemble((f"{word:7}", style), (f"{finding.what:15} ", "bold"), said), soft_wrap=True)
+    said = one_line(f"{finding.said}; {finding.remedy}" if finding.remedy and not finding.ok else finding.said)
+    out.print(Text.assemble((f"{word:7}", style), (f"{one_line(finding.what):15} ", "bold"), said), soft_wrap=True)
 
 
 def print_metrics(result: dict[str, Any], title: str) -> None:
@@ -129,15 +144,23 @@ def check_new_files(overwrite: bool, **paths: Path | None) -> None:
     for flag, path in ((flag, path) for flag, path in paths.items() if path):
         if regular(path).exists() and not overwrite:
             raise ConfigError(f"{path} already exists; name another --{flag}, or replace it with --overwrite")
-        if not path.parent.is_dir():
-            raise ConfigError(f"there is no folder {path.parent} for --{flag}; make it, or name another --{flag}")
-        if not os.access(path.parent, os.W_OK):
-            raise ConfigError(f"cannot write to folder {path.parent}; name another --{flag}")
+        folder = Path(os.path.realpath(path) if path.is_symlink() else path).parent
+        if not folder.is_dir():
+            raise ConfigError(f"there is no folder {folder} for --{flag}; make it, or name another --{flag}")
+        if not os.access(folder, os.W_OK):
+            raise ConfigError(f"cannot write to folder {folder}; name another --{flag}")
         if (other := named.setdefault(Path(os.path.realpath(path)), flag)) != flag:
             raise ConfigError(f"--{other} and --{flag} name the same file; each needs its own")
 
 
-def save_rows(rows: list[dict[str, Any]], path: Path | None) -> None:
-    """Write rows to a CSV file, if one is given."""
-    if path:
-        write_text(path, csv_text(rows))
+@contextmanager
+def saving(text: str, path: Path | None) -> Iterator[None]:
+    """Write a text to a file, if one is given, after the block, which prints the result.
+
+    So a full disk does not cost the result, nor a reader who stops early the file.
+    """
+    try:
+        yield
+    finally:
+        if path:
+            write_text(path, text)

@@ -7,7 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from sfmrl.cli import options
-from sfmrl.cli.console import print_sheet, print_table, say, say_json, say_result
+from sfmrl.cli.console import one_line, print_sheet, print_table, say, say_json, say_result
 from sfmrl.cli.options import command
 from sfmrl.config import ConfigError, json_object, suggest
 from sfmrl.runs.files import DamagedFile, read_checked, read_listed
@@ -58,7 +58,7 @@ def runs(folder: Path = typer.Argument(RUNS, help="folder of run folders (defaul
     for column in table.columns:
         column.overflow = "fold"  # a long name goes on in the next line
     for run in found:
-        table.add_row(*map(Text, (str(run), *_run_cells(run))))
+        table.add_row(*(Text(one_line(cell)) for cell in (run, *_run_cells(run))))
     print_table(table)
 
 

@@ -132,6 +132,8 @@ class TestOptions:
         from sfmrl.recovery import with_recovery
         from sfmrl.runs.weights import find_weights, model_names
 
+        if policy == "":
+            raise ConfigError("the name of a policy is empty; name one, or leave it out to take the newest run")
         name = policy or str(newest_run(say))
         if not policy:
             say(f"policy: {name}")

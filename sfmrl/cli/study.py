@@ -9,11 +9,11 @@ from typing import Any
 import typer
 
 from sfmrl.cli import completion, options
-from sfmrl.cli.console import check_new_files, err, print_sheet, save_rows, say, say_json, say_result
+from sfmrl.cli.console import check_new_files, err, print_sheet, saving, say, say_json, say_result
 from sfmrl.cli.options import command, number_option, option
 from sfmrl.cli.session import TestOptions
 from sfmrl.config import Config, ConfigError, counted, override
-from sfmrl.runs.files import write_text
+from sfmrl.runs.files import csv_text, write_text
 from sfmrl.variants import make_config
 
 
@@ -124,15 +124,14 @@ def _report(
     summary, effects = summarise(paper, rows), contrasts(rows) if number == 1 else []
     tested = next(iter(rows.values())).test_episodes
     pages = sheets(summary, effects, f"Table {number}, {preset} preset, {counted(tested, 'test episode')}")
-    save_rows(csv_rows(summary, effects), csv)
-    if markdown:
-        write_text(markdown, "\n".join(page.markdown() for page in pages))
-    if as_json:
-        what = {"table": number, "preset": preset, "environment": paper.environment}
-        say_json(what | {"rows": summary, "contrasts": effects})
-        return
-    for page in pages:
-        print_sheet(page)
+    as_markdown = "\n".join(page.markdown() for page in pages)
+    with saving(as_markdown, markdown), saving(csv_text(csv_rows(summary, effects)), csv):
+        if as_json:
+            what = {"table": number, "preset": preset, "environment": paper.environment}
+            say_json(what | {"rows": summary, "contrasts": effects})
+            return
+        for page in pages:
+            print_sheet(page)
 
 
 @command("sfmrl figure 1 --out validation.svg")
@@ -165,7 +164,8 @@ def figure(
 
         save(validation_figure(lines, title), out)
         say(f"wrote {out}")
-    save_rows(lines, csv)
+    if csv:
+        write_text(csv, csv_text(lines))
 
 
 @command("sfmrl plot sarl --environment 2 --episode 3 --out episode.png", "simulation", "reward", "planner")

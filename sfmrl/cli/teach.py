@@ -12,9 +12,10 @@ from sfmrl.cli.console import (
     WIDTH,
     check_new_files,
     err,
+    one_line,
     out,
     print_table,
-    save_rows,
+    saving,
     say,
     say_finding,
     say_json,
@@ -24,6 +25,7 @@ from sfmrl.cli.options import command, number_option, option
 from sfmrl.cli.session import TestOptions
 from sfmrl.config import MOST_EPISODES, MOST_STEPS
 from sfmrl.lessons import Finding
+from sfmrl.runs.files import csv_text
 
 
 @command(
@@ -53,14 +55,14 @@ def explain(
     record = play_episodes(scene, chosen, config.reward, config.simulation, discount=config.discount, keep=True)
     explained = explain_episode(record, 0, chosen, config.reward, config.discount)
     shown = chosen_steps(explained.steps, every, steps)
-    save_rows(explained.steps, csv)
-    if as_json:
-        what = {"policy": name, "environment": str(scene.environment[0]), "episode": episode, "seed": test.seed}
-        what |= {"outcome": str(record.outcome[0]), "time": float(record.time[0]), "discount": config.discount}
-        say_json(what | {"reward": asdict(config.reward)} | explained.sums())
-        return
-    for part in explanation_parts(explained, shown, name, max(out.width, WIDTH)):
-        say_result(part) if isinstance(part, str) else print_table(part)
+    with saving(csv_text(explained.steps), csv):
+        if as_json:
+            what = {"policy": name, "environment": str(scene.environment[0]), "episode": episode, "seed": test.seed}
+            what |= {"outcome": str(record.outcome[0]), "time": float(record.time[0]), "discount": config.discount}
+            say_json(what | {"reward": asdict(config.reward)} | explained.sums())
+            return
+        for part in explanation_parts(explained, shown, name, max(out.width, WIDTH)):
+            say_result(part) if isinstance(part, str) else print_table(part)
 
 
 @command("sfmrl verify runs/rl-sarl-sfm2-seed0 --episodes 500")
@@ -97,16 +99,16 @@ def verify(
             raise errors[0]
         disagree = bool(errors)
         for error in errors:
-            say_result(str(error))
+            say_result(one_line(error))
         for name, folder in folders.items():
             found = findings_of(folder, *how, trust_reward=trust_reward)
             wrong, unknown, count = _by_result(_printed(found) if len(folders) + len(errors) == 1 else found)
             aside = f"; not judged: {', '.join(unknown)}" if unknown else ""
             verdict = f"{len(wrong)} of {count} DO NOT AGREE: {', '.join(wrong)}" if wrong else f"all {count} agree"
-            say_result(f"{name}: {verdict}{aside}")
+            say_result(one_line(f"{name}: {verdict}{aside}"))
             disagree |= bool(wrong)
         for name, earlier in same_weights(folders).items():
-            say_result(f"{name}: the same weights as {earlier}: a copy, or the same command and seed")
+            say_result(one_line(f"{name}: the same weights as {earlier}: a copy, or the same command and seed"))
     if disagree:
         raise typer.Exit(1)
 

@@ -6,10 +6,11 @@ from typing import Any
 import typer
 
 from sfmrl.cli import options
-from sfmrl.cli.console import check_new_files, print_metrics, print_sheet, print_social, save_rows, say, say_json
+from sfmrl.cli.console import check_new_files, print_metrics, print_sheet, print_social, saving, say, say_json
 from sfmrl.cli.options import command, option
 from sfmrl.cli.session import TestOptions, code_facts
 from sfmrl.config import ConfigError, counted
+from sfmrl.runs.files import csv_text
 
 SOCIAL = option(False, "print another table: how the robot treats people", "--social")
 LISTED = 12  # failed episodes whose numbers are printed
@@ -41,15 +42,15 @@ def evaluate(
     chosen, name, config = test.choose(policy, settings)
     (record,) = test.play([chosen], config, episodes, settings)
     result = metrics(record, chosen)
-    if csv:
-        save_rows([row | more for row, more in zip(episode_rows(record), social_rows(record), strict=True)], csv)
-    if as_json:
-        what = {"policy": name} | code_facts([name]) | {"environment": test.where(config), "seed": test.seed}
-        say_json(what | test.crowd | result | {"social": social_metrics(record)})
-        return
-    print_metrics(result, f"{name}, {test.title(config, episodes)}")
-    if social:
-        print_social(social_metrics(record))
+    rows = [row | more for row, more in zip(episode_rows(record), social_rows(record), strict=True)] if csv else []
+    with saving(csv_text(rows), csv):
+        if as_json:
+            what = {"policy": name} | code_facts([name]) | {"environment": test.where(config), "seed": test.seed}
+            say_json(what | test.crowd | result | {"social": social_metrics(record)})
+            return
+        print_metrics(result, f"{name}, {test.title(config, episodes)}")
+        if social:
+            print_social(social_metrics(record))
     if failures := result["failures"]:
         failed = ", ".join(str(failure["episode"]) for failure in failures[:LISTED])
         see = test.replay_command(policy, config, failures[0]["episode"], settings)
@@ -86,16 +87,15 @@ def compare(
     chosen, _, config = test.choose_all(policies, settings)
     records = test.play(chosen, config, episodes, settings)
     comparison = compare_records(records, chosen, policies)
-    if csv:
-        save_rows(comparison_rows(records, policies), csv)
-    if as_json:
-        what = code_facts(policies) | {"environment": test.where(config), "seed": test.seed}
-        say_json(what | test.crowd | comparison)
-        return
-    recovering = [row["policy"] for row in comparison["policies"] if "recovered" in row]
-    title = test.title(config, episodes) + (f"\nwith recovery: {', '.join(recovering)}" if recovering else "")
-    for sheet in comparison_sheets(comparison, title) + [social_sheet(comparison)] * social:
-        print_sheet(sheet)
+    with saving(csv_text(comparison_rows(records, policies)) if csv else "", csv):
+        if as_json:
+            what = code_facts(policies) | {"environment": test.where(config), "seed": test.seed}
+            say_json(what | test.crowd | comparison)
+            return
+        recovering = [row["policy"] for row in comparison["policies"] if "recovered" in row]
+        title = test.title(config, episodes) + (f"\nwith recovery: {', '.join(recovering)}" if recovering else "")
+        for sheet in comparison_sheets(comparison, title) + [social_sheet(comparison)] * social:
+            print_sheet(sheet)
     if comparison["differing"]:
         episode, versus = _first_difference(comparison["differing"][0], policies)
         say(f"see one: {test.replay_command(policies[0], config, episode, settings, versus)}")

@@ -138,7 +138,6 @@ def rl(
         run = start_run(config, source, from_scratch, training.run, **training.existing())
     if training.go_on and _already_finished(run):
         return
-    _say_start(run)
     workers = threads or available_cores()
     result = _train(run, lambda progress, stop: run_reinforcement(run, progress, stop, say, threads=workers))
     title = f"{run.folder}, environment {label(run.config.reinforcement.test_environment)}"
@@ -215,6 +214,7 @@ def _train(run: Any, work: Callable[..., Any]) -> Any:
         if finished(run.folder):
             next_step = f"test it with {on_run('eval', run)}, or begin another run"
             raise ConfigError(f"{run.folder} is finished; nothing is left to train: {next_step}")
+        _say_start(run)
         say(f"run folder {run.folder}")
         if run.facts["versions"].get("bits", machine_bits()) != machine_bits():
             say("the run began on a machine with other bits: its numbers will not be those of an uninterrupted run")

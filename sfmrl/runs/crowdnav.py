@@ -7,6 +7,7 @@ be wrapped in dictionaries or have a prefix. torch is imported inside functions,
 import configparser
 import io
 import warnings
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,9 @@ def read_foreign(data: bytes, path: Path) -> Any:
     for start, what in NOT_WEIGHTS.items():
         if data[:200].lstrip().lower().startswith(start):
             raise ConfigError(f"{path} {what}")
+    file = io.BytesIO(data)
+    if zipfile.is_zipfile(file) and (damaged := _damaged_part(file)):
+        raise ConfigError(f"{path} is damaged: the checksum of {damaged} in it is wrong; put back a copy")
     try:
         import torch
     except ImportError as error:
@@ -53,6 +57,15 @@ def read_foreign(data: bytes, path: Path) -> Any:
         if "Unsupported global" in str(error) or "Unsupported class" in str(error):
             reason = "holds Python objects, which could run code; save only its state_dict()"
         raise ConfigError(f"{path} {reason}") from error
+
+
+def _damaged_part(file: io.BytesIO) -> str | None:
+    """The first part of a zip file whose checksum is wrong, which torch does not notice; None if all are right."""
+    try:
+        with zipfile.ZipFile(file) as parts:
+            return parts.testzip()
+    except Exception:  # no zip file after all, which torch's own error tells
+        return None
 
 
 def unwrapped(content: Any) -> Any:

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from sfmrl.config import Simulation
-from sfmrl.episodes import Record
+from sfmrl.episodes import Record, check_memory
 from sfmrl.geometry import length
 from sfmrl.rewards import Transition
-from sfmrl.runs.files import DamagedFile, read_checked, write_atomically
+from sfmrl.runs.files import DamagedFile, read_arrays, read_checked, write_atomically
 from sfmrl.scenes import Scenes
 
 # Fields of Transition that follow from the rest of the file and the settings.
@@ -38,15 +38,18 @@ def load_demonstrations(path: Path, simulation: Simulation) -> Record:
     """Load the record that `save_demonstrations` wrote, without rewards; raises DamagedFile, also for NaN."""
     data = read_checked(path)
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            steps = arrays["steps"]
-            names = [name for name in arrays if name.startswith("scenes.")]
-            scenes = Scenes(**{name.removeprefix("scenes."): arrays[name] for name in names})
-            played = np.arange(steps.max()) < steps[:, None]
-            moments = np.arange(steps.max() + 1) <= steps[:, None]
-            stored = {name: _spread(arrays[f"transition.{name}"], played) for name in STORED}
-            position, velocity = _spread(arrays["position"], moments), _spread(arrays["velocity"], moments)
-            heading = _spread(arrays["heading"], moments) if simulation.kinematics == "unicycle" else None
+        arrays = read_arrays(data)
+        steps = arrays["steps"]
+        names = [name for name in arrays if name.startswith("scenes.")]
+        scenes = Scenes(**{name.removeprefix("scenes."): arrays[name] for name in names})
+        if steps.sum() != len(arrays["transition.outcome"]):
+            raise ValueError("there are more or fewer steps than it says")
+        check_memory(len(scenes), scenes.start.shape[1], steps.max())
+        played = np.arange(steps.max()) < steps[:, None]
+        moments = np.arange(steps.max() + 1) <= steps[:, None]
+        stored = {name: _spread(arrays[f"transition.{name}"], played) for name in STORED}
+        position, velocity = _spread(arrays["position"], moments), _spread(arrays["velocity"], moments)
+        heading = _spread(arrays["heading"], moments) if simulation.kinematics == "unicycle" else None
         present = np.isfinite(scenes.start)[:, None] & moments[..., None, None]  # (E, T+1, N, 2)
         parts = {name: values[played] for name, values in stored.items()}
         parts["separations"] = np.minimum(parts["separations"], 0.0)  # may be +inf, to absent elements

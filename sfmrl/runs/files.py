@@ -11,6 +11,7 @@ import os
 import re
 import shutil
 import time
+import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -134,6 +135,20 @@ def regular(path: Path) -> Path:
     if path.exists() and not path.is_file():  # opening a pipe would block, and a device may never end
         raise DamagedFile(f"{path} is not a regular file, but a folder, a pipe or a device; name a file")
     return path
+
+
+def read_arrays(data: bytes) -> dict[str, Any]:
+    """The arrays in the bytes of an .npz file that numpy.savez wrote; raises ValueError and others for other bytes.
+
+    Such a file is not compressed, so its arrays take no more memory than the file; one that unpacks to more is refused.
+    """
+    import numpy as np
+
+    with zipfile.ZipFile(io.BytesIO(data)) as packed:
+        if sum(part.file_size for part in packed.infolist()) > len(data):
+            raise ValueError("it is compressed")
+    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+        return dict(arrays)
 
 
 def read_sums(folder: Path) -> dict[str, str]:

@@ -16,6 +16,7 @@ from sfmrl.config import Config, ConfigError, json_object
 from sfmrl.own_code.trust import check_unchanged
 from sfmrl.runs.files import (
     DamagedFile,
+    read_arrays,
     read_checked,
     read_regular,
     read_sums,
@@ -77,7 +78,8 @@ class Run:
         except DamagedFile as error:
             before = f"to resume from {saved[-2].name}" if len(saved) > 1 else "to start this run over"
             raise DamagedFile(f"{error}, or delete it {before}") from None
-        with self.restoring(), np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+        with self.restoring():
+            arrays = read_arrays(data)
             state = json.loads(str(arrays["json"]), object_hook=lambda d: arrays[d["array"]] if "array" in d else d)
             if not isinstance(state, dict) or not state:
                 raise ValueError("it is empty")

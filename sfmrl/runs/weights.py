@@ -15,7 +15,7 @@ from sfmrl.config import Config, ConfigError, json_object, suggest
 from sfmrl.fast import FastNetwork
 from sfmrl.policies import POLICIES
 from sfmrl.runs.crowdnav import CHECKPOINT, read_foreign, sarl_parameters, unwrapped
-from sfmrl.runs.files import DamagedFile, read_listed, read_regular, sha256, write_atomically
+from sfmrl.runs.files import DamagedFile, read_arrays, read_listed, read_regular, sha256, write_atomically
 from sfmrl.runs.folders import WEIGHTS, facts_of, finished, unfinished
 from sfmrl.runs.run import open_run
 
@@ -79,9 +79,8 @@ def _read(path: Path) -> bytes:
 def _content(data: bytes, path: Path) -> Any:
     """What a weights file holds: {"weights": ..., "config": ...} if it is sfmrl's, otherwise what torch reads."""
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            config = str(arrays["config"])
-            return {"weights": {name: arrays[name] for name in arrays.files if name != "config"}, "config": config}
+        weights = read_arrays(data)
+        return {"config": str(weights.pop("config")), "weights": weights}
     except Exception:  # damaged or foreign bytes can raise anything in NumPy
         return read_foreign(data, path)
 

@@ -2,6 +2,7 @@
 
 import io
 import tempfile
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +33,10 @@ def validation_figure(lines: list[dict[str, Any]], title: str) -> Figure:
     for name in dict.fromkeys(line["row"] for line in lines):
         course = [line for line in lines if line["row"] == name]
         episodes, mean, low, high = ([line[key] for line in course] for key in ("episode", "mean", "low", "high"))
-        (curves[name],) = axes.plot(episodes, mean, marker="o", markersize=3)
+        shown = name.encode(errors="backslashreplace").decode()  # names of folders need not be UTF-8
+        (curves[shown],) = axes.plot(episodes, mean, marker="o", markersize=3)
         if None not in low:
-            axes.fill_between(episodes, low, high, color=curves[name].get_color(), alpha=0.15, linewidth=0)
+            axes.fill_between(episodes, low, high, color=curves[shown].get_color(), alpha=0.15, linewidth=0)
     axes.set(xlabel="training episodes", ylabel="success in validation", title=title)
     axes.set_ylim(top=1.005)
     axes.grid(alpha=0.3)
@@ -102,7 +104,12 @@ def draw_episode(record: Record, path: Path) -> None:
         data = moving.to_jshtml().encode()
     else:
         with tempfile.TemporaryDirectory() as folder:
-            moving.save(Path(folder) / path.name, writer="pillow" if path.suffix == ".gif" else "ffmpeg")
+            try:
+                moving.save(Path(folder) / path.name, writer="pillow" if path.suffix == ".gif" else "ffmpeg")
+            except Exception as error:
+                if isinstance(error.__context__, KeyboardInterrupt):  # a writer that has no frame yet fails to end
+                    raise error.__context__ from None
+                raise
             data = (Path(folder) / path.name).read_bytes()
     write_atomically(path, data, checked=False)
 
@@ -111,7 +118,8 @@ def save(figure: Figure, path: Path) -> None:
     """Write a figure to a file in the format of its ending; the same figure gives the same bytes."""
     undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}, ".png": {}}
     data = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "sfmrl"}):
+    with matplotlib.rc_context({"svg.hashsalt": "sfmrl"}), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # in the name of a folder
         figure.savefig(data, format=path.suffix[1:], dpi=150, metadata=undated[path.suffix])
     write_atomically(path, data.getvalue(), checked=False)
 
