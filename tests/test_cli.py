@@ -1,6 +1,7 @@
 """The command as people and programs use it: real processes, their output, exit codes and error lines."""
 
 import csv
+import errno
 import hashlib
 import inspect
 import json
@@ -215,6 +216,7 @@ WRONG_USE = [
     (("eval", "orca", "--stall-time", "2"), ("--stall-time changes nothing without recovery", "--recover")),
     (("il", "--discount-rate", "0.1"), ("--discount-rate changes nothing",)),
     (("il", "--run", "x", "--continue", "--overwrite"), ("--continue and --overwrite exclude each other",)),
+    (("eval", ""), ("the name of a policy is empty", "leave it out to take the newest run")),
     (("eval", "orac"), ("there is no policy orac", "linear, orca, sfm", "did you mean orca?")),
     (("eval", "runs/none"), ("there is no policy runs/none",)),
     (("eval", "orca", "--episode", "5"), ("--episode", "--episodes")),
@@ -236,7 +238,7 @@ WRONG_USE = [
     (("eval", "orca", "--humans", "0.5"), ("--humans", "integer")),
     (("eval", "orca", "--environment", "map-rooms"), ("there is no environment 'map-rooms'", "did you mean map-room?")),
     (("eval", "orca", "--recover", "--resolution", "0"), ("resolution",)),
-    (("eval", "."), (". is not a run folder",)),
+    (("eval", "."), (". holds no network",)),
     (("eval",), ("no finished run", "sfmrl il")),
     (("il", "--variant", "sarl-sfn"), ("there is no variant 'sarl-sfn'", "did you mean sarl-sfm?")),
     (("il", "--preset", "papre"), ("did you mean paper?",)),
@@ -291,6 +293,19 @@ def numbers(command: Callable) -> list[str]:
 NUMBERS = {command.name: numbers(command.callback) for command in app.registered_commands}
 NEEDED = {"compare": ["orca", "linear"], "verify": ["nowhere"], "table": ["1"], "figure": ["1"]}
 NO_NUMBER = ("nan", "inf", "-inf", "1e308", str(2**63), "9" * 4000, "9" * 5000, "", "x")
+
+
+@pytest.mark.parametrize("command", ["eval linear", "compare linear sfm", "explain linear"])
+def test_a_full_disk_does_not_cost_the_result(in_process, monkeypatch, command):
+    def fail(path, text):
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    monkeypatch.setattr("sfmrl.cli.console.write_text", fail)
+    few = [] if command.startswith("explain") else ["--episodes", "1"]
+    done = in_process(*command.split(), "--environment", "circle5", "--csv", "some.csv", *few)
+    assert done.returncode == 1
+    assert "reward" in done.stdout
+    assert "sfmrl: some.csv: No space left on device" in done.stderr
 
 
 @pytest.mark.parametrize("name", [name for name, options in NUMBERS.items() if options])
