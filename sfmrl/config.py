@@ -89,7 +89,9 @@ class Simulation(Settings):
     """Who the humans are, how they move, and when an episode ends; CrowdNav's values, except where they are marked."""
 
     time_step: float = knob(0.25, "length of a step, s", 1e-3, 1)
-    time_limit: float = knob(25.0, "no step begins later than 1 s before this time, s (CrowdNav)", 1, 3600)
+    time_limit: float = knob(
+        25.0, "the last step is the first that begins 1 s or less before this, s (CrowdNav)", 1, 3600
+    )
     crowd: str = knob("orca", "what drives the humans", choices=("orca", "sfm"))
     kinematics: str = knob(
         "holonomic",

@@ -253,9 +253,11 @@ def _write(arrays: Arrays, world: World, parts: Arrays, count: int) -> None:
             empty = np.nan if part.dtype.kind == "f" else 0  # 0 is RUNNING, too
             arrays[name] = np.full((count, world.simulation.longest + 1, *part.shape[1:]), empty, part.dtype)
         kept = arrays[name]
-        if part.shape[1:] != kept.shape[2:] or not np.can_cast(part.dtype, kept.dtype, "same_kind"):
+        longer = part.dtype.kind in "SU" and part.dtype.itemsize > kept.dtype.itemsize
+        if longer or part.shape[1:] != kept.shape[2:] or not np.can_cast(part.dtype, kept.dtype, "same_kind"):
             # Of all that is recorded, only a user's notes can change like this.
-            raise ConfigError(f"the policy's note {name!r} has another shape or type than at the first step; keep both")
+            now, before = f"{part.shape[1:]} of {part.dtype}", f"{kept.shape[2:]} of {kept.dtype}"
+            raise ConfigError(f"the policy's note {name!r} is now {now} per episode, and was {before}; keep its form")
         kept[world.episode, world.steps] = part
 
 

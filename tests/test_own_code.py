@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 import torch
 
-from sfmrl import own_code
 from sfmrl.cli import main
 from sfmrl.config import Config, ConfigError, Planner, Reward, Simulation, Untrusted
 from sfmrl.episodes import Record, play, play_episodes
 from sfmrl.evaluation import evaluate
 from sfmrl.imitation import fill_memory
 from sfmrl.network import ValueNetwork
-from sfmrl.own_code import UntrustedReward, load
+from sfmrl.own_code import UntrustedReward
 from sfmrl.own_code.trust import code_digest, trusted
 from sfmrl.policies import load_policy
 from sfmrl.recovery import with_recovery
@@ -146,21 +145,6 @@ def test_a_reward_may_be_a_function_with_the_numbers_of_the_same_one_in_a_file(o
     )
     with pytest.raises(ConfigError, match="reward is 5; it takes a name, a Reward, or a function"):
         play(SCENES, "orca", reward=5)
-
-
-def test_a_reward_s_file_is_run_once_until_it_changes_and_a_policy_s_for_every_policy(tmp_path):
-    file, runs = tmp_path / "mine.py", tmp_path / "runs"
-    code = f"open({str(runs)!r}, 'a').write('.')\ndef mine(transition, settings):\n    return transition.time\n"
-    file.write_text(code)
-    for _ in range(3):
-        reward_terms(f"{file}:mine")
-    assert runs.read_text() == "."
-    file.write_text(code + "\n")
-    reward_terms(f"{file}:mine")
-    assert runs.read_text() == ".."
-    for _ in range(2):
-        load(f"{file}:mine", "policy")
-    assert runs.read_text() == "...."
 
 
 def test_a_policy_that_goes_round_its_limits_forges_nothing_all_the_same():
@@ -327,7 +311,6 @@ def command(capsys, monkeypatch) -> Callable[..., subprocess.CompletedProcess]:
 
     def call(*words: object) -> subprocess.CompletedProcess:
         monkeypatch.setattr(sys, "argv", ["sfmrl", *map(str, words)])
-        own_code._executed.cache_clear()  # as in a process of its own
         with pytest.raises(SystemExit) as end:
             main()
         return subprocess.CompletedProcess(words, end.value.code, *capsys.readouterr())

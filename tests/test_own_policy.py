@@ -240,7 +240,10 @@ def fails_later():
         ("takes_one", "define it with the arguments (scenes, simulation)"),
         ("fails_to_explain", "must return (actions, notes), the notes a dict"),
         ("wrong_notes", "must return its notes as arrays with a row for each episode"),
-        ("other_notes_later", "the policy's note 'own' has another shape or type than at the first step"),
+        (
+            "other_notes_later",
+            "the policy's note 'own' is now (2,) of float64 per episode, and was (1,) of float64",
+        ),
         ("no_batch", "batch is 0; it must be at least 1"),
     ],
 )

@@ -190,6 +190,12 @@ def test_demonstrations_are_read_as_they_were_played_also_from_a_file_of_sfmrl_0
         assert getattr(read.transition, name).dtype == values.dtype
 
 
+def test_demonstrations_for_which_there_is_no_memory_are_not_spread_out(folder, monkeypatch):
+    monkeypatch.setattr("sfmrl.episodes.memory_size", lambda: 1000)
+    with pytest.raises(DamagedFile, match=r"need 0\.0 GB"):
+        load_demonstrations(folder / DEMONSTRATIONS, TINY.simulation)
+
+
 def test_arrays_that_unpack_to_more_than_their_file_are_not_read():
     buffer = io.BytesIO()
     np.savez_compressed(buffer, config=np.zeros(1_000_000))
@@ -277,7 +283,10 @@ SPOILT = {
     "a velocity": lambda arrays: arrays["velocity"].__setitem__((-1, 0, 1), np.inf),
     "a distance": lambda arrays: arrays["transition.goal_distance"].__setitem__(5, np.nan),
     "a gap": lambda arrays: arrays["transition.separations"].__setitem__((5, 0), np.nan),
-    "more steps than memory has room for": lambda arrays: arrays["steps"].__setitem__(0, 10**12),
+    "too many steps": lambda arrays: arrays["steps"].__setitem__(0, 10**12),
+    "as many steps less than none": lambda arrays: arrays["steps"].__setitem__(
+        slice(2), (10**12, arrays["steps"][:2].sum() - 10**12)
+    ),
     "the steps": lambda arrays: arrays.update(steps=np.zeros(0)),
     "an array too few": lambda arrays: arrays.pop("velocity"),
     "a pickle": lambda arrays: arrays.update(steps=np.array([{}, None])),

@@ -23,8 +23,10 @@ WIDTH = 80  # columns of a table, at least
 WIDEST = 10_000  # and at most
 CUT = "…"  # what Rich puts at the end of a cell that has no room
 ROWS_WITH_INTERVALS = 7  # of metrics; more rows have a line each
-# Names of files, and what is in them, can hold control characters, which a terminal would obey.
-HARMLESS = {code: "\ufffd" for code in (*range(32), *range(127, 160)) if chr(code) not in "\t\n"}
+# Names of files, and what is in them, can hold characters that a terminal would obey: controls, and marks that reverse
+# the direction of writing.
+OBEYED = (*range(9), *range(11, 32), *range(127, 160), 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A))
+HARMLESS = dict.fromkeys(OBEYED, "\ufffd")
 
 
 class _Console(Console):
@@ -34,7 +36,7 @@ class _Console(Console):
             yield Segment(text if control else text.translate(HARMLESS), style, control)
 
     def on_broken_pipe(self) -> None:
-        """Exit with 0 if the pipe at standard output is closed; go on without messages if that at standard error is."""
+        """Exit with 0 if standard output is a closed pipe; go on without messages if standard error is."""
         os.dup2(os.open(os.devnull, os.O_WRONLY), (sys.stderr if self.stderr else sys.stdout).fileno())
         if not self.stderr:
             raise typer.Exit(0)
@@ -157,7 +159,7 @@ def check_new_files(overwrite: bool, **paths: Path | None) -> None:
 def saving(text: str, path: Path | None) -> Iterator[None]:
     """Write a text to a file, if one is given, after the block, which prints the result.
 
-    So a full disk does not cost the result, nor a reader who stops early the file.
+    So the result is printed even if the disk is full, and the file is written even if a reader (head) stops early.
     """
     try:
         yield

@@ -68,7 +68,7 @@ class TrainingOptions:
         else:
             config = trusted(Config.from_json(read_regular(self.config), self.config), self.trust_reward)
             named = make_config(preset or config.preset, variant or "sarl")
-            # A preset or variant named beside --config resets every setting that any preset or variant changes.
+            # Beside --config, --preset sets all that some preset changes, and --variant all that some variant changes.
             for table in [PRESETS] * bool(preset) + [VARIANTS] * bool(variant):
                 for entry in table.values():
                     config = override(config, _values(named, entry))

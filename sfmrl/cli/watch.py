@@ -89,9 +89,9 @@ def ascii_render(
     elif scenes:
         _print_scenes(test, episode, config, room, look.plain())
     else:
-        if versus:
+        if versus is not None:
             _check_two(*room)
-        names = [policy, versus] if versus else [policy]
+        names = [policy, versus] if versus is not None else [policy]
         _show(_replay(names, test, episode, settings, look.plain()), look, room)
 
 

@@ -49,7 +49,8 @@ def _runs_at(path: Path, place: Path) -> dict[str, Path]:
 def same_weights(folders: dict[str, Path]) -> dict[str, str]:
     """The name of each run that has the weights of an earlier one, and that one's name.
 
-    Copies have the same weights, but so have two runs of the same command, seed and version on like processors.
+    Copies have the same weights, but so have two runs of the same command, seed and version on like processors. A copy
+    in which a single bit of the weights was changed is not found.
     """
     first: dict[bytes, str] = {}
     same = {}

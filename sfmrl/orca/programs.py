@@ -8,13 +8,14 @@ nothing.
 The paper adds one half-plane after the other. Here all programs take the same three steps instead:
 1. the best velocity of the disc; if some half-plane forbids it,
 2. the best velocity of the disc on the line that it violates most; if some half-plane forbids that one,
-3. the best permitted velocity on each line violated by it. One of them is the optimum: the optimum lies on the
-   boundaries of some half-planes, and a velocity that is better under fewer constraints must violate one of these.
+3. the best permitted velocity on the line of each half-plane that it violates. One of them is the optimum: the optimum
+   lies on the boundaries of some half-planes, and a velocity that is better under fewer constraints must violate one of
+   these.
 
 Where no velocity is permitted, the largest violation of a soft half-plane is minimised. At that minimum some
-half-plane, the carrier, is violated most. The velocities at which a given carrier is violated most form half-planes
-again, bounded by its bisectors with the others. So the same steps minimise the carrier's violation within these; step
-2 runs twice, since many half-planes are violated then. Every velocity violates some carrier most.
+half-plane, the carrier, is violated most. The velocities at which a given carrier is violated most are again those that
+half-planes permit, bounded by its bisectors with the others. So the same steps minimise the carrier's violation within
+these; step 2 runs twice, since many half-planes are violated then. Every velocity violates some carrier most.
 
 Source: van den Berg et al., "Reciprocal n-body collision avoidance", 2011, sections 5.2 and 5.3; de Berg et al.,
 "Computational Geometry", chapter 4. Left out: the random order of insertion, which only the paper's way needs.

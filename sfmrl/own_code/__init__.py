@@ -5,12 +5,12 @@ names is `Untrusted` and is not run, since opening a file must not run code; `tr
 """
 
 import copy
+import importlib
 import runpy
 import traceback
 from collections.abc import Callable
 from dataclasses import is_dataclass, replace
-from functools import cache, partial
-from importlib import import_module
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -164,18 +164,11 @@ def load(name: str, what: str = "reward") -> Callable:
         )
     place, _, function = name.rpartition(":")
     file = file_of(name, what)
-    # A training asks for its reward in every round; a policy may have a state, so each one gets a module of its own.
-    run = (lambda: _executed(file, Path(file).read_bytes())) if what == "reward" else lambda: runpy.run_path(file)
-    known = guarded(f"{what} {name}", "cannot be imported", file, run if file else lambda: vars(import_module(place)))
+    run = runpy.run_path if file else lambda module: vars(importlib.import_module(module))
+    known = guarded(f"{what} {name}", "cannot be imported", file, lambda: run(file or place))
     if not callable(known.get(function)):
         raise ConfigError(f"{what} {name}: {place} has no function {function!r}{suggest(function, known)}")
     return known[function]
-
-
-@cache
-def _executed(file: str, content: bytes) -> dict[str, Any]:
-    """The names that a Python file with this content defines."""
-    return runpy.run_path(file)
 
 
 def file_of(name: str, what: str = "reward") -> str:

@@ -41,7 +41,10 @@ def read_foreign(data: bytes, path: Path) -> Any:
             raise ConfigError(f"{path} {what}")
     file = io.BytesIO(data)
     if zipfile.is_zipfile(file) and (damaged := _damaged_part(file)):
-        raise ConfigError(f"{path} is damaged: the checksum of {damaged} in it is wrong; put back a copy")
+        raise ConfigError(
+            f"{path} is damaged: the checksum of {damaged} in it is wrong; put back a copy, or save it with "
+            "checksums (torch.serialization.set_crc32_options(True))"
+        )
     try:
         import torch
     except ImportError as error:
@@ -60,11 +63,12 @@ def read_foreign(data: bytes, path: Path) -> Any:
 
 
 def _damaged_part(file: io.BytesIO) -> str | None:
-    """The first part of a zip file whose checksum is wrong, which torch does not notice; None if all are right."""
+    """The first part of a zip file whose checksum is wrong, which torch does not notice; None if none was found."""
     try:
         with zipfile.ZipFile(file) as parts:
-            return parts.testzip()
-    except Exception:  # no zip file after all, which torch's own error tells
+            unpacked = sum(part.file_size for part in parts.infolist())
+            return None if unpacked > len(file.getbuffer()) else parts.testzip()  # torch's own are not compressed
+    except Exception:  # no zip file after all, of which torch tells
         return None
 
 

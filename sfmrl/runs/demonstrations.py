@@ -42,9 +42,9 @@ def load_demonstrations(path: Path, simulation: Simulation) -> Record:
         steps = arrays["steps"]
         names = [name for name in arrays if name.startswith("scenes.")]
         scenes = Scenes(**{name.removeprefix("scenes."): arrays[name] for name in names})
-        if steps.sum() != len(arrays["transition.outcome"]):
+        if steps.min() < 1 or steps.sum() != len(arrays["transition.outcome"]):
             raise ValueError("there are more or fewer steps than it says")
-        check_memory(len(scenes), scenes.start.shape[1], steps.max())
+        check_memory(len(scenes), scenes.start.shape[1], int(steps.max()))
         played = np.arange(steps.max()) < steps[:, None]
         moments = np.arange(steps.max() + 1) <= steps[:, None]
         stored = {name: _spread(arrays[f"transition.{name}"], played) for name in STORED}

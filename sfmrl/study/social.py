@@ -140,7 +140,7 @@ def _turned(velocity: np.ndarray) -> np.ndarray:
 def _summed(values: np.ndarray) -> np.ndarray:
     """Sums (E,) of values (E, T), with NaN as 0: step by step, so that zeros after an episode's end change no bit."""
     total = np.zeros(len(values))
-    for value in np.nan_to_num(values).T:
+    for value in np.where(np.isnan(values), 0.0, values).T:
         total += value
     return total
 
