@@ -20,7 +20,7 @@ sfmrl rl --kinematics unicycle --reward sfm --from FOLDER/turning-il --run FOLDE
 python TESTS/make_models.py FOLDER 0-2
 python TESTS/make_models.py unicycle FOLDER/turning
 python TESTS/make_ablation.py FOLDER 0-4
-python TESTS/make_ablation.py FOLDER 5-9 "nothing,value prior"
+python TESTS/make_ablation.py FOLDER 5-9 "nothing,value prior,reinforcement,all learning"
 python TESTS/make_crowds.py
 sfmrl table 1 --preset paper --folder FOLDER/early ROWS --seeds 0-4 --episodes 3000 --validation-interval 500
 sfmrl table 1 --preset paper --folder FOLDER/paper ROWS --seeds 0-2
