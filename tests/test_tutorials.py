@@ -14,11 +14,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import ROOT, Interpreter, environment
 from nearness import near
 
 from sfmrl.runs.bits import machine_bits
+from sfmrl.study.statistics import mean_difference
 
 PAGES = sorted(path for path in (ROOT / "tutorials").glob("*.md") if path.name[0].isdigit())
 FENCE = re.compile(r"^(<!-- minutes -->\n+)?```(\w*)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
@@ -90,6 +92,17 @@ def test_what_a_page_needs_of_the_tables_is_what_they_hold():
     for name in ("sarl", "sarl-sfm2"):
         values = [f"{float(row['value']):.3f}" for row in rows if row["row"] == name]
         assert f'"{name}": [{", ".join(values)}]' in page
+
+
+def test_the_effect_of_forces_on_total_reward_is_that_of_the_table_s_seeds():
+    with open(ROOT / "tutorials" / "results" / "table1-quick.csv", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["metric"] == "total_reward" and row["seed"] != "all"]
+    names = ("sarl", "sarl-sfm2", "sarl-sfm5", "sarl-sfm6")
+    sarl, sfm2, sfm5, sfm6 = (np.array([float(row["value"]) for row in rows if row["row"] == name]) for name in names)
+    gap = mean_difference((sfm5 - sarl + sfm6 - sfm2) / 2)
+    said = f"{gap['mean']:+.3f} ({gap['low']:+.3f} to {gap['high']:+.3f}"
+    for page in ("README.md", "tutorials/tables.md"):
+        assert f"forces change it by {said}" in " ".join((ROOT / page).read_text(encoding="utf-8").split())
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
