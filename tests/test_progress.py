@@ -146,10 +146,11 @@ def test_signals_held_back_come_after_the_block_and_not_to_processes_started_in_
         pytest.fail("the signal was lost")
 
 
-def test_progress_in_a_pipe_is_a_line_after_two_seconds_and_then_every_ten(monkeypatch):
+@pytest.mark.parametrize("colours", [False, True])  # as FORCE_COLOR asks for
+def test_progress_in_a_pipe_is_a_line_after_two_seconds_and_then_every_ten(monkeypatch, colours):
     now = [0.0]
     monkeypatch.setattr("sfmrl.runs.progress.time", SimpleNamespace(monotonic=lambda: now[0]))
-    console = Console(file=io.StringIO(), force_terminal=False)
+    console = Console(file=io.StringIO(), force_terminal=colours)
     with show_progress(console)("test", 100) as advance:
         for now[0] in (1.0, 3.0, 8.0, 13.5):
             advance(10)

@@ -1,7 +1,6 @@
 """The command that shows episodes: `sfmrl ascii-render`."""
 
 import re
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -152,7 +151,7 @@ def _show(replay: Any, look: Look, room: tuple[int, int]) -> None:
         _write(look.cast, to_cast(shown, replay.title, look.speed, not out.no_color), len(shown), room)
     if look.svg or look.cast:
         return
-    live = out.is_terminal and sys.stdout.isatty()  # FORCE_COLOR makes Rich take a file for a terminal
+    live = out.is_terminal and out.file.isatty()  # FORCE_COLOR makes Rich take a file for a terminal
     if look.stills() or not live or out.is_dumb_terminal:
         for picture in replay.frames(*room, look.frames or STILLS, look.at):
             out.print(picture.text if out.is_terminal else picture.plain, markup=False, highlight=False, soft_wrap=True)

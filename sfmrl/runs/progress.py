@@ -30,7 +30,8 @@ def no_progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
 
 def show_progress(console: Console) -> Progress:
     """Show progress on `console` (standard error): a bar if it is a terminal, otherwise a line every ten seconds."""
-    return partial(_bar if console.is_terminal and not console.is_dumb_terminal else _lines, console)
+    live = console.file.isatty() and console.is_terminal and not console.is_dumb_terminal  # FORCE_COLOR makes no bar
+    return partial(_bar if live else _lines, console)
 
 
 @contextmanager
