@@ -220,6 +220,7 @@ def _recorded(
         if not world.steps.any():
             terms(step)  # so a reward that fails does so now, not after the last episode
         _write(parts, world, vars(step), count)
+        _check_notes(notes, noted)
         _write(notes, world, noted, count)
         world = advance(world, moves, action)
         _write(moments, world, motion(world), count)
@@ -252,13 +253,18 @@ def _write(arrays: Arrays, world: World, parts: Arrays, count: int) -> None:
         if name not in arrays:
             empty = np.nan if part.dtype.kind == "f" else 0  # 0 is RUNNING, too
             arrays[name] = np.full((count, world.simulation.longest + 1, *part.shape[1:]), empty, part.dtype)
-        kept = arrays[name]
+        arrays[name][world.episode, world.steps] = part
+
+
+def _check_notes(notes: Notes, noted: Notes) -> None:
+    """Raise ConfigError if a note (e, ...) of this step does not fit into `notes` (E, T + 1, ...) of earlier ones."""
+    for name in notes.keys() & noted.keys():
+        part, kept = noted[name], notes[name]
         longer = part.dtype.kind in "SU" and part.dtype.itemsize > kept.dtype.itemsize
         if longer or part.shape[1:] != kept.shape[2:] or not np.can_cast(part.dtype, kept.dtype, "same_kind"):
-            # Of all that is recorded, only a user's notes can change like this.
             now, before = f"{part.shape[1:]} of {part.dtype}", f"{kept.shape[2:]} of {kept.dtype}"
-            raise ConfigError(f"the policy's note {name!r} is now {now} per episode, and was {before}; keep its form")
-        kept[world.episode, world.steps] = part
+            said = f"the policy's note {name!r} is now {now} per episode, and was {before}"
+            raise ConfigError(f"{said}; give it the same shape and type in every step")
 
 
 def _refill(start: World, world: World, going: np.ndarray, fresh: np.ndarray) -> World:
