@@ -20,7 +20,7 @@ ANY_REWARD = (-1e6, 1e6)
 WINDOWS = os.name == "nt"
 MOST_EPISODES = 100_000  # in one record, which must fit into memory
 MOST_STEPS = 100_000  # of an episode
-LARGEST_SEED = 2**63 - 1
+LARGEST_SEED = 2**32 - 1
 
 
 class ConfigError(ValueError):

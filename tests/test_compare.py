@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -83,8 +84,11 @@ def test_social_metrics_are_compared_where_both_have_a_value(records):
 
 def test_other_episodes_are_refused(records):
     other = evaluation_record("linear", environment="1", episodes=30, seed=1)
-    with pytest.raises(ConfigError, match="same episodes"):
-        compare([records[0], other], [POLICIES["orca"], POLICIES["linear"]], ["orca", "linear"])
+    scenes = records[0].scenes
+    farther = replace(records[0], scenes=replace(scenes, goal=scenes.goal + 1.0))
+    for changed in (other, farther):
+        with pytest.raises(ConfigError, match="same episodes"):
+            compare([records[0], changed], [POLICIES["orca"], POLICIES["linear"]], ["orca", "linear"])
 
 
 def test_policies_that_are_alike_differ_in_nothing(records):

@@ -11,8 +11,8 @@ from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sfmrl import draw_map, evaluate, load_map, load_policy, read_map, sample_scenes
-from sfmrl.config import Config, ConfigError, Planner
+from sfmrl import draw_map, evaluate, load_map, load_policy, play, read_map, sample_scenes
+from sfmrl.config import ConfigError, Planner, Simulation
 from sfmrl.maps import why_unsolvable
 from sfmrl.maps.format import parse
 from sfmrl.recovery import with_recovery
@@ -24,6 +24,7 @@ from sfmrl.runs.run import open_run
 from sfmrl.runs.training import run_reinforcement
 from sfmrl.scenes import elements_of
 from sfmrl.variants import make_config
+from sfmrl.world import reset
 
 ROOM = """\
 #############
@@ -41,7 +42,10 @@ TINY += ["--validation-episodes", "2", "--test-episodes", "2", "--time-limit", "
 
 @st.composite
 def maps(draw) -> list[str]:
-    """Lines of maps that can be read: all sizes and people, squares anywhere but opposite to people without a goal."""
+    """Lines of maps that can be read: all sizes and people, squares anywhere but opposite to people without a goal.
+
+    Nor are there squares on both sides of the robot.
+    """
     rows, columns = draw(st.integers(3, 9)), draw(st.integers(3, 9))
     free = draw(st.permutations([(r, c) for r in range(rows) for c in range(columns)]))
     cells = {free.pop(): "R", free.pop(): "G"}
@@ -57,9 +61,11 @@ def maps(draw) -> list[str]:
         else:
             kept.add((rows - 1 - place[0], columns - 1 - place[1]))
     opposite_is_free = [place for place in free if place not in kept]
-    cells |= dict.fromkeys(
-        draw(st.lists(st.sampled_from(opposite_is_free), max_size=20)) if opposite_is_free else [], "#"
-    )
+    squares = set(draw(st.lists(st.sampled_from(opposite_is_free), max_size=20)) if opposite_is_free else [])
+    r, c = robot
+    for one, other in (((r - 1, c), (r + 1, c)), ((r, c - 1), (r, c + 1))):
+        squares -= {one} if other in squares else set()
+    cells |= dict.fromkeys(squares, "#")
     return ["".join(cells.get((r, c), ".") for c in range(columns)) for r in range(rows)]
 
 
@@ -135,12 +141,15 @@ def test_episodes_differ_by_a_little_and_nobody_touches_anybody(lines, seed):
     assert_same(sample_scenes(environment, [3], seed), scenes.take([3]))
     walkers = ~scene.square[0]
     pairs = walkers[:, None] & ~np.eye(len(walkers), dtype=bool)
-    for ends, among in ((scenes.start, pairs), (scenes.goal, walkers[:, None] & ~walkers)):  # two may have one goal
-        apart = np.linalg.norm(ends[:, :, None] - ends[:, None], axis=-1)
-        assert (apart[:, among] > 0.6 - 1e-9).all()
-    hemmed = any(np.hypot(*(scene.start[0, 0] - s)) < 0.6 + 1e-9 for s in scene.start[scene.square])
-    robot = np.linalg.norm(scenes.start[:, 1:] - scenes.start[:, :1], axis=-1)
-    assert hemmed or (robot > 0.6).all()  # to touch at the start would be a collision
+    assert (np.linalg.norm(scenes.start[:, :, None] - scenes.start[:, None], axis=-1)[:, pairs] > 0.6 - 1e-9).all()
+    for ends in (scenes.start, scenes.goal):
+        offset = np.abs(ends[:, walkers][:, :, None] - ends[:, ~walkers][:, None])
+        assert (np.linalg.norm(np.maximum(offset - 0.3, 0.0), axis=-1) > 0.3 - 1e-9).all()  # from the outlines
+    assert (reset(scenes).gap > 0).all()  # to touch at the start would be a collision
+
+
+def test_a_square_at_a_corner_of_the_robots_place_leaves_it_less_room():
+    assert reset(sample_scenes("map:#.#/.R./#.#/.../.G.", 1000)).gap.min() > 0
 
 
 def test_episodes_of_a_map_differ_and_layouts_keep_their_robot_in_its_place():
@@ -180,6 +189,7 @@ def test_the_replays_glyphs_blanks_comments_and_indentation_draw_the_same(tmp_pa
         ("R..G\n...b", "m.txt, line 2, column 4: b is the goal of 2, who is missing; draw 2"),
         ("R.G1\n#...", "m.txt, line 1, column 4: the place opposite 1 is a square; draw a, its goal"),
         ("R1.G", "m.txt, line 1, column 2: 1 touches the robot"),
+        (".#R#\n...G", "m.txt, line 1, column 3: R would touch the squares on both sides"),
         ("R.G" + 60 * ".", "m.txt is 63 places wide and 1 high; it may be at most 60 by 60"),
         ("R.G" + 60 * "\n.", "m.txt is 3 places wide and 61 high"),
         ("R.G" + 5 * ("\n" + 50 * "#"), "m.txt has 250 squares; it may have at most 200"),
@@ -263,16 +273,21 @@ def test_a_scene_is_unsolvable_where_a_passage_is_too_narrow_or_the_way_too_long
     for line, free in (("#######", False), ("###.###", False), ("###..##", True)):
         scene = read_map(wall.format(line))
         assert bool(solvable(scene)) == free
-        assert (why_unsolvable(scene, 25.0) is None) == free
-    assert "two characters wide" in why_unsolvable(read_map(wall.format("###.###")), 25.0)
-    long = read_map("R" + 40 * "." + "G")
-    assert why_unsolvable(long, 25.0) is None  # 24.6 m
-    assert "25 m, more than the robot can go in --time-limit 20" in why_unsolvable(long, 20.0)
+        assert (why_unsolvable(scene, Simulation()) is None) == free
+    assert "two characters wide" in why_unsolvable(read_map(wall.format("###.###")), Simulation())
+
+
+@pytest.mark.parametrize(("places", "arrives"), [(38, True), (39, True), (40, False)])
+def test_a_goal_is_too_far_exactly_if_a_robot_that_goes_straight_does_not_reach_it_in_time(places, arrives):
+    scene = read_map("R" + places * "." + "G")
+    assert (play(scene, "linear").outcome == "success").all() == arrives
+    reason = why_unsolvable(scene, Simulation())
+    assert reason is None if arrives else "24.6 m, and within --time-limit 25 (s) the robot can reach goals" in reason
 
 
 def test_the_example_is_a_maze_that_only_a_way_around_solves():
     environment = load_map(ROOT / "tutorials" / "maze.txt")
-    assert why_unsolvable(sample_scenes(environment, 1), Config().simulation.time_limit) is None
+    assert why_unsolvable(sample_scenes(environment, 1), Simulation()) is None
     led = with_recovery(load_policy("orca"), Planner(recover=True, stall_time=0.0))
     assert evaluate(led, environment=environment, episodes=4)["success"] == 1.0
     assert evaluate("orca", environment=environment, episodes=4)["success"] == 0.0
@@ -341,7 +356,7 @@ def test_commands_use_maps_and_say_what_is_wrong_in_a_line(sfmrl: Callable, tmp_
     assert "unsolvable" in sfmrl("eval", "linear", "--map", "closed.txt", "--episodes", "1").stderr
     (tmp_path / "far.txt").write_text("R" + "." * 50 + "G\n")
     far = sfmrl("eval", "linear", "--map", "far.txt", "--episodes", "2")
-    assert "the path to the goal is 31 m, more than the robot can go in --time-limit 25 (s)" in far.stderr
+    assert "is 30.6 m, and within --time-limit 25 (s) the robot can reach goals up to 24.3 m away" in far.stderr
     for command in (["eval", "orca"], ["rl"]):
         both = sfmrl(*command, "--map", "closed.txt", "--environment", "2")
         assert both.returncode == 2

@@ -51,6 +51,24 @@ def test_around_one_square_the_way_is_two_tangents_and_an_arc():
     assert exact - 0.06 < way < 1.014 * exact + 0.06
 
 
+def test_the_shortest_path_around_a_square_is_accurate_to_two_percent():
+    half, radius = 0.3, 0.3
+    corner = np.hypot(4 - half, half)  # m from start or goal to the square's nearer corners
+    tangent = math.sqrt(corner**2 - radius**2)
+    turn = math.asin(radius / corner) + math.atan2(half, 4 - half)  # rad around each of the two corners
+    exact = 2 * tangent + 2 * radius * turn + 2 * half
+    assert exact < shortest_path(among_squares((0, 0)))[0] < 1.02 * exact
+
+
+def test_squares_through_which_a_grid_would_lead_are_refused():
+    box = [(x, y) for x in np.arange(-1, 1.01, 0.04) for y in (-0.95, 1.05)]
+    box += [(x, y) for y in np.arange(-0.95, 1.06, 0.04) for x in (-1, 1)]
+    places, row = np.array([[(0, 0), *box]]), np.arange(len(box) + 1) > 0
+    scenes = Scenes(places, places + np.array((0, 3)), np.where(row, 0.02, 0.1), square=row[None])
+    with pytest.raises(ConfigError, match=r"radii add up to 0\.125 m or more"):
+        solvable(scenes)
+
+
 def brute_force(far: np.ndarray, cost: np.ndarray) -> np.ndarray:
     """Dijkstra's algorithm over the 24 steps, for one scene's (Y, X)."""
     rows, columns = far.shape

@@ -59,7 +59,7 @@ def evaluate(
     failed_scenes = record.scenes.take(record.outcome != "success")
     if unsolvable := [str(failure["episode"]) for failure in failures if not failure["solvable"]]:
         say(f"unsolvable, since the squares leave no path to the goal: episodes {', '.join(unsolvable[:LISTED])}")
-    elif failures and (reason := why_unsolvable(failed_scenes, config.simulation.time_limit)):
+    elif failures and (reason := why_unsolvable(failed_scenes, config.simulation)):
         say(reason)
 
 

@@ -159,7 +159,7 @@ def _new_config(
         schedule["environment"] = environment
         schedule.setdefault("test_environment", environment)
     config = training.new_config(variant, settings)
-    if map_file and (reason := why_unsolvable(sample_scenes(str(environment), [0]), config.simulation.time_limit)):
+    if map_file and (reason := why_unsolvable(sample_scenes(str(environment), [0]), config.simulation)):
         say(f"{map_file}: {reason}")
     return config
 

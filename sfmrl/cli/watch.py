@@ -126,7 +126,7 @@ def _replay(
 
     policies, named, config = test.choose_all(names, settings)
     scene = test.scene(test.where(config), episode, config)
-    if reason := why_unsolvable(scene, config.simulation.time_limit):
+    if reason := why_unsolvable(scene, config.simulation):
         say(reason)
     stories = []
     for policy in policies:

@@ -11,9 +11,10 @@
     #############
 
 Each character is a place of 0.6 m x 0.6 m: `#` (or `█`, `■`) a square, `R` (or `@`) the robot's start, `G` (or `★`,
-`*`) its goal, `1` to `9` people, `a` to `i` their goals (`a` that of `1`), `.` (or `·`, a blank) nothing. A person
-without a goal goes to the opposite place, through the middle of the drawing. The robot is as wide as a place and may
-not touch a square, so a passage must be two places wide. Beyond the drawing all is free.
+`*`) its goal, `1` to `9` people, `a` to `i` their goals (`a` that of `1`), `.` (or `·`, a blank) nothing. Blanks around
+the drawing do not belong to it, dots do. A person without a goal goes to the opposite place, through the middle of the
+drawing. The robot is as wide as a place and may not touch a square, so a passage must be two places wide. Beyond the
+drawing all is free.
 
 Episodes differ by a little noise: each start is moved by up to 0.1 m in x and in y, as far as it has room, and the
 goal by as much the other way. A robot drawn beside a square starts 0.05 m off it.

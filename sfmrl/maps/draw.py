@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sfmrl.config import ConfigError
+from sfmrl.config import ConfigError, Simulation
 from sfmrl.maps.format import CELL, GOALS, MOST_PLACES, PEOPLE, Drawing, parse
 from sfmrl.recovery.planner import shortest_path
 from sfmrl.scenes import DRAWN, Scenes
@@ -49,13 +49,18 @@ def draw_map(scenes: Scenes, episode: int = 0) -> str:
     return text
 
 
-def why_unsolvable(scenes: Scenes, time_limit: float) -> str | None:
-    """Why no policy can reach the first episode's goal in `time_limit` s; None if one could."""
+def why_unsolvable(scenes: Scenes, simulation: Simulation) -> str | None:
+    """Why no policy can reach the first episode's goal within the time limit; None if one could."""
     way = float(shortest_path(scenes.take([0]))[0])
     if np.isinf(way):
         return "unsolvable: the squares leave no path to the goal (a passage must be at least two characters wide)"
-    if way > time_limit * scenes.v_pref[0, 0]:
-        return f"the path to the goal is {way:.0f} m, more than the robot can go in --time-limit {time_limit:g} (s)"
+    # The last step is too late, and the robot has arrived as soon as its goal is within its radius.
+    most = (simulation.longest - 1) * simulation.time_step * scenes.v_pref[0, 0] + scenes.radius[0, 0]
+    if way >= most:
+        limit = f"--time-limit {simulation.time_limit:g} (s)"
+        return (
+            f"the path to the goal is {way:.1f} m, and within {limit} the robot can reach goals up to {most:.1f} m away"
+        )
     return None
 
 

@@ -122,6 +122,8 @@ def _drawing(squares: np.ndarray, marks: dict[str, np.ndarray], where: dict[str,
             raise ConfigError(f"{where[letter]}: {letter} is the goal of {person}, who is missing; draw {person}")
     beside = squares[_apart(start[0], squares) < 1.1 * CELL]
     start[0] = start[0] + OFF / CELL * (start[0] - beside).sum(0)
+    if _room(start[0], squares).min(initial=OFF) < OFF / 2:  # those on opposite sides leave it where it was
+        raise ConfigError(f"{where['R']}: R would touch the squares on both sides; a passage must be two places wide")
     starts, goals = np.array(start), np.array(goal)
     return Drawing(starts, goals, _leeway(starts, goals, squares), squares)
 
@@ -132,8 +134,13 @@ def _leeway(start: np.ndarray, goal: np.ndarray, squares: np.ndarray) -> np.ndar
     All may be moved at once; only goals may then touch each other.
     """
     others = np.where(np.eye(len(start), dtype=bool), np.inf, _apart(start[:, None], start)).min(1)
-    solid = _apart(np.array((start, goal))[:, :, None], squares).min((0, 2), initial=np.inf)
-    return np.clip(np.minimum(solid - CELL, (others - CELL) / 2) / np.sqrt(2), 0.0, JITTER)
+    room = _room(np.array((start, goal))[:, :, None], squares).min((0, 2), initial=np.inf)
+    return np.clip(np.minimum(room, (others - CELL) / 2) / np.sqrt(2), 0.0, JITTER)
+
+
+def _room(point: np.ndarray, square: np.ndarray) -> np.ndarray:
+    """Gaps from agents at points (..., 2) to the outlines of squares (..., 2) that broadcast, in m; least -`RADIUS`."""
+    return np.hypot(*np.maximum(np.abs(np.moveaxis(point - square, -1, 0)) - CELL / 2, 0.0)) - RADIUS
 
 
 def _apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -32,7 +32,7 @@ UNREACHABLE = 500.0  # m: longer than any detour, shorter than a cell of a squar
 FARTHEST = 150.0  # m from the robot's start to squares that `shortest_path` heeds, for which a grid has room
 TOGETHER = MOST_CELLS // MOST_ACROSS**2  # scenes whose grids together are never too large
 NO_INFLATION = Planner(inflation=0.0)  # no cost beside squares; touching one is SOLID
-GRID_ERROR = 1.015  # no distance over a grid is longer than this, times the true one
+GRID_ERROR = 1.015  # a path that is less than this much longer than the straight line counts as straight
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def plan(scenes: Scenes, planner: Planner = Planner(), reach: np.ndarray | None 
     """The distances to the robot's goal in every scene, around its squares.
 
     `reach` (E,) is how far the robot can go, in m; by default, as far as its goal. Raises ConfigError where the grids
-    would be too large.
+    would be too large, or too coarse for the squares.
     """
     robot, goal = scenes.start[:, 0], scenes.goal[:, 0]
     way = length(goal - robot)
@@ -89,6 +89,12 @@ def plan(scenes: Scenes, planner: Planner = Planner(), reach: np.ndarray | None 
     goal = np.where(beyond[:, None], robot + (goal - robot) * (reach / np.where(beyond, way, 1.0))[:, None], goal)
     apart = np.abs(scenes.start - robot[:, None]).max(-1)
     square = scenes.square & (apart - scenes.radius <= reach[:, None])
+    least = 1.25 * planner.resolution  # with less, an oblique step could lead through a square
+    if (square & (scenes.radius + scenes.radius[:, :1] < least)).any():
+        raise ConfigError(
+            f"paths around squares need a robot and squares whose radii add up to {least:g} m or more, for a grid of "
+            "this resolution; choose larger ones or a finer --resolution"
+        )
     places = np.where(square[..., None], scenes.start, np.nan)
     places[:, 0] = robot
     places = np.concatenate((places, goal[:, None]), axis=1)
@@ -125,9 +131,10 @@ def solvable(scenes: Scenes) -> np.ndarray:
 def shortest_path(scenes: Scenes) -> np.ndarray:
     """Length in m of the shortest path from the robot's start to its goal around the squares' outlines, (E,).
 
-    It is inf where the squares leave no path, and straight where there are none; those more than `FARTHEST` from the
-    start are ignored. Narrow passages may be closed, as for `solvable`. Outlines count also where gaps are to the discs
-    inside (`squares`). Raises ConfigError where a grid would be too large.
+    Around squares, a grid's path is up to 2 % too long on ways of 8 m, and up to 5 % on ways of 2 to 4 m. It is inf
+    where the squares leave no path, and straight where there are none; those more than `FARTHEST` from the start are
+    ignored. Narrow passages may be closed, as for `solvable`. Outlines count also where gaps are to the discs
+    inside (`squares`). Raises ConfigError where a grid would be too large or too coarse.
     """
     straight = length(scenes.goal[:, 0] - scenes.start[:, 0])
     around = straight.copy()

@@ -12,8 +12,10 @@ from sfmrl.evaluation import RATES, episode_rows, metrics
 from sfmrl.study.sheets import Sheet, estimate, p_value, rate, rate_interval, seconds
 from sfmrl.study.social import SOCIAL_METRICS, mean_known, social_rows, social_values
 from sfmrl.study.statistics import holm, mean_difference, success_difference
+from sfmrl.world import reset
 
 LISTED = 20  # differing episodes that the terminal shows; JSON has all
+GIVEN = ("position", "goal", "radius", "v_pref", "preferred_speed", "square")  # what makes two scenes the same
 EXACT_BELOW = 25  # shared successes; with fewer, a t-test alone is too sure of times in whole time steps
 
 
@@ -27,7 +29,8 @@ def compare(records: Sequence[Record], policies: Sequence[Policy], names: Sequen
     some policies succeed and some do not. Raises ConfigError unless the episodes are the same.
     """
     first, *others = records
-    if not all(np.array_equal(record.scenes.start, first.scenes.start, equal_nan=True) for record in others):
+    starts = [vars(reset(record.scenes)) for record in records]
+    if not all(np.array_equal(start[name], starts[0][name], equal_nan=True) for start in starts for name in GIVEN):
         raise ConfigError("policies can only be compared on the same episodes; let all of them play the same scenes")
     rows, social = [], [social_values(record) for record in records]
     for record, policy, name, values in zip(records, policies, names, social, strict=True):

@@ -23,10 +23,11 @@ SOCIAL_METRICS = {
     "danger_separation": "mean gap in those steps, m (CrowdNav)",
     "path_length": "length of the robot's path, m",
     "spl": "success x shortest path around the squares' outlines / the longer of it and the path, both to the goal "
-    "itself (Anderson et al., 2018)",
+    "itself (Anderson et al., 2018); the shortest path is accurate to 2 % over 8 m",
     "min_gap": "smallest gap of an episode, m",
     **{name: f"share of the steps with a gap below {gap} m (Hall, 1966)" for name, gap in ZONES.items()},
-    "min_ttc": f"smallest time to collision at constant velocities, s, at most {LONGEST_TTC:g} (exact for discs)",
+    "min_ttc": "smallest time to collision at the velocities before a step, s, at most "
+    f"{LONGEST_TTC:g} (exact for discs)",
     "jerk": "mean of |v(t+1) - 2 v(t) + v(t-1)| / dt^2 from the first action on, m/s^3",
     "heading_change": "sum of the angles between successive directions of motion, rad",
     "social_work": "time integral of |all people's force on the robot| + sum of |the robot's on each|, with "
