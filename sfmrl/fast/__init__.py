@@ -4,13 +4,14 @@ from typing import Any
 
 from sfmrl.config import Config
 from sfmrl.fast.blas import kernels as kernels
-from sfmrl.fast.layers import Sizes, drawn_parameters
+from sfmrl.fast.layers import Sizes as Sizes
+from sfmrl.fast.layers import drawn_parameters
 from sfmrl.fast.network import FastNetwork
 
 
-def new_network(config: Config, seed: int = 0, sizes: Sizes = Sizes()) -> FastNetwork:
+def new_network(config: Config, seed: int = 0) -> FastNetwork:
     """The network that a config asks for, drawn from `seed`."""
-    return FastNetwork(drawn_parameters(config.forces, seed, sizes), config.value_prior)
+    return FastNetwork(drawn_parameters(config.forces, seed), config.value_prior)
 
 
 def as_fast(network: Any) -> FastNetwork:

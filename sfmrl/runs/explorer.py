@@ -7,16 +7,14 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from functools import cache, partial
+from functools import partial
 from multiprocessing.process import BaseProcess
 from threading import Thread
 from typing import cast
 
-import numpy as np
-
 from sfmrl.config import Config
 from sfmrl.exploration import Explored, explore
-from sfmrl.fast import FastNetwork, Sizes, new_network
+from sfmrl.fast import FastNetwork
 from sfmrl.lookahead import SarlPolicy
 from sfmrl.own_code.trust import check_unchanged
 from sfmrl.runs.progress import SIGNALS, held_back
@@ -29,16 +27,14 @@ class Explorer:
     each other. If the second process is killed, this one plays. `own_reward` is the SHA-256 of the user's own reward.
     """
 
-    def __init__(
-        self, config: Config, threads: int, aside: bool, sizes: Sizes = Sizes(), own_reward: str | None = None
-    ) -> None:
-        self._setup, self._own_reward = (config, threads, sizes), own_reward
+    def __init__(self, config: Config, threads: int, aside: bool, own_reward: str | None = None) -> None:
+        self._setup = (config, threads, own_reward)
         self._pool = None
         if aside:
             spawn = multiprocessing.get_context("spawn")  # a fork would inherit locks that threads hold
             self._pool = ProcessPoolExecutor(1, spawn, _prepare)
             with held_back():  # the new process inherits this, so no signal interrupts its imports
-                self._pool.submit(_warm_up, *self._setup)
+                self._pool.submit(int)  # starts the process now: it imports all that `_explore` needs
 
     def __enter__(self) -> "Explorer":
         return self
@@ -53,7 +49,7 @@ class Explorer:
         Without a second process, that function plays, with the actor as it is then. With one, the actor must not change
         before that function returns.
         """
-        work = partial(_explore, *self._setup, self._own_reward, actor.flat, episodes)
+        work = partial(_explore, *self._setup, actor, episodes)
         future = None
         if self._pool:
             with suppress(BrokenProcessPool):
@@ -81,21 +77,9 @@ def _prepare() -> None:
     Thread(target=end_with_it, daemon=True).start()
 
 
-@cache
-def _policy(config: Config, threads: int, sizes: Sizes) -> SarlPolicy:
-    return SarlPolicy(new_network(config, sizes=sizes), config, threads)
-
-
-def _warm_up(config: Config, threads: int, sizes: Sizes) -> None:
-    """Import and allocate before the first episode is due; returns nothing, since a result would be sent back."""
-    _policy(config, threads, sizes)
-
-
 def _explore(
-    config: Config, threads: int, sizes: Sizes, own_reward: str | None, weights: np.ndarray, episodes: Sequence[int]
+    config: Config, threads: int, own_reward: str | None, actor: FastNetwork, episodes: Sequence[int]
 ) -> Explored:
-    policy = _policy(config, threads, sizes)
-    policy.network.flat[:] = weights
-    explored = explore(policy, config, episodes)  # which loads the user's own reward
+    explored = explore(SarlPolicy(actor, config, threads), config, episodes)  # which loads the user's own reward
     check_unchanged(config.reward.reward, own_reward)
     return explored

@@ -73,9 +73,7 @@ def run_reinforcement(run: Run, progress: Progress, stop: StopSignal, say: Say, 
     for name, rows in (("metrics.csv", learner.rows), ("validation.csv", learner.validations)):
         write_text(run.folder / name, csv_text(rows))  # drop the rows that a killed run added after its checkpoint
     aside, left = settings.parallel > 1 and threads > 1, settings.episodes - learner.episode
-    explorer = Explorer(
-        config, threads - 1 if aside else threads, aside, learner.network.sizes, run.facts.get("own_reward")
-    )
+    explorer = Explorer(config, threads - 1 if aside else threads, aside, run.facts.get("own_reward"))
     with explorer, progress("reinforcement", left) as advance:
         while True:
             if due(learner, settings):
