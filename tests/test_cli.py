@@ -37,7 +37,7 @@ from sfmrl.policies import POLICIES, load_policy
 from sfmrl.rewards import REWARDS
 from sfmrl.runs.bits import machine_bits
 from sfmrl.runs.create import create_run, start_run
-from sfmrl.runs.folders import locked, unfinished
+from sfmrl.runs.folders import locked, why_unfinished
 from sfmrl.runs.weights import load_weights, model_names
 from sfmrl.scenes import ENVIRONMENTS, sample_scenes
 from sfmrl.sfm import SocialForce
@@ -389,7 +389,7 @@ def test_what_to_type_says_to_trust_the_reward_of_a_run_that_needs_it(in_process
         name = Path(f"runs/my {reward[:3]}")
         run = create_run("rl", Config(reward=Reward(reward=reward)), name)
         assert on_run("eval", run) == f"sfmrl eval '{name}'{trust}"
-        assert unfinished(name).endswith(f"sfmrl rl --resume '{name}'{trust}")
+        assert why_unfinished(name).endswith(f"sfmrl rl --resume '{name}'{trust}")
         assert f"with --resume '{name}'{trust}" in in_process("rl", "--from-scratch", "--run", str(name)).stderr
 
 

@@ -26,7 +26,7 @@ from sfmrl.runs import training
 from sfmrl.runs.create import create_run
 from sfmrl.runs.explorer import Explorer
 from sfmrl.runs.progress import StopSignal, no_progress
-from sfmrl.runs.training import due, needs_fit
+from sfmrl.runs.training import needs_fit, validation_due
 from sfmrl.runs.weights import load_weights
 from sfmrl.scenes import sample_scenes
 from sfmrl.states import robot_states
@@ -249,9 +249,9 @@ def test_validations_are_due_at_their_interval_once_and_at_the_end():
     learner = Learner(plain_network(), make_memory(config), config)
     for episode, expected in ((0, True), (10, False), (20, True), (40, True), (50, True)):
         learner.episode = episode
-        assert due(learner, config.reinforcement) is expected
+        assert validation_due(learner, config.reinforcement) is expected
         learner.validations.append({"episode": episode})
-        assert not due(learner, config.reinforcement)
+        assert not validation_due(learner, config.reinforcement)
 
 
 def test_exploration_does_not_depend_on_what_is_played_side_by_side():

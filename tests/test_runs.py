@@ -46,7 +46,7 @@ from sfmrl.runs.folders import (
     locked,
     newest_run,
     run_folders,
-    unfinished,
+    why_unfinished,
 )
 from sfmrl.runs.progress import Interrupted, StopSignal, no_progress
 from sfmrl.runs.run import Run, open_run, sole_use
@@ -257,7 +257,7 @@ def test_a_hint_can_be_typed_whatever_the_run_is_called(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, typed in (("-run", "./-run"), ("my run", "'my run'")):
         create_run("il", override(TINY, {"reward": {"reward": "sfm"}}), Path(name))
-        assert unfinished(Path(name)).endswith(f"sfmrl il --resume {typed}")
+        assert why_unfinished(Path(name)).endswith(f"sfmrl il --resume {typed}")
 
 
 ODD_CHECKPOINTS = {

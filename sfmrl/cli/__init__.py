@@ -16,7 +16,7 @@ from sfmrl.cli.console import one_line, say, say_result
 from sfmrl.cli.options import app
 from sfmrl.config import ConfigError
 from sfmrl.runs.files import DamagedFile
-from sfmrl.runs.folders import as_words, finished, run_folders, unfinished
+from sfmrl.runs.folders import as_words, finished, run_folders, why_unfinished
 from sfmrl.runs.progress import Interrupted
 
 INTERRUPTED = 130
@@ -48,7 +48,7 @@ def greeting() -> str:
     policy = next((as_words(folder) for folder in folders if finished(folder)), "sarl-sfm6")
     lines = [f"sfmrl {__version__} teaches a robot to cross a crowd."]
     if folders and not finished(folders[0]):
-        lines.append(unfinished(folders[0]))
+        lines.append(why_unfinished(folders[0]))
     commands = {
         "sfmrl il && sfmrl rl --reward sfm": "train a robot (one to three minutes)",
         f"sfmrl eval {policy}": "test it on 500 episodes",

@@ -54,7 +54,7 @@ def say_differing_settings(path: Path, config: Config) -> None:
         say(note)
 
 
-def drawn(map_file: Path | None, environment: str | None) -> str | None:
+def named_environment(map_file: Path | None, environment: str | None) -> str | None:
     """Return the environment that --map or --environment names; None if neither is given."""
     from sfmrl.maps import load_map
 
@@ -87,7 +87,7 @@ class TestOptions:
     @cached_property
     def place(self) -> str | None:
         """The environment that --map or --environment names; None if neither is given."""
-        return drawn(self.map_file, self.environment)
+        return named_environment(self.map_file, self.environment)
 
     @property
     def crowd(self) -> dict[str, Any]:

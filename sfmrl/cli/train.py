@@ -8,7 +8,7 @@ from typing import Any, cast
 from sfmrl.cli import completion, options
 from sfmrl.cli.console import err, print_metrics, say
 from sfmrl.cli.options import command, option
-from sfmrl.cli.session import check_planner, check_read, drawn, exclude, say_differing_settings
+from sfmrl.cli.session import check_planner, check_read, exclude, named_environment, say_differing_settings
 from sfmrl.config import Config, ConfigError, as_typed, override
 from sfmrl.runs.files import read_regular
 from sfmrl.runs.folders import as_options, as_words, finished
@@ -155,7 +155,7 @@ def _new_config(
     from sfmrl.scenes import sample_scenes
 
     schedule = settings.setdefault("reinforcement", {})
-    if environment := drawn(map_file, schedule.get("environment")):
+    if environment := named_environment(map_file, schedule.get("environment")):
         schedule["environment"] = environment
         schedule.setdefault("test_environment", environment)
     config = training.new_config(variant, settings)

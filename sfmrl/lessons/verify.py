@@ -19,7 +19,7 @@ from sfmrl.own_code import UntrustedReward
 from sfmrl.own_code.trust import code_digest, trusted
 from sfmrl.runs.bits import versions
 from sfmrl.runs.files import SUMS, DamagedFile, digest_of, read_regular, read_sums, read_table
-from sfmrl.runs.folders import BEST, CHECKPOINT, DEMONSTRATIONS, MAP, WEIGHTS, finished, unfinished
+from sfmrl.runs.folders import BEST, CHECKPOINT, DEMONSTRATIONS, MAP, WEIGHTS, finished, why_unfinished
 from sfmrl.runs.progress import Progress
 from sfmrl.runs.run import Run, open_run
 from sfmrl.runs.weights import load_weights
@@ -123,7 +123,7 @@ def _sums(folder: Path) -> str:
 
 def _finished(run: Run) -> str:
     if not finished(run.folder):
-        raise Disagreement(unfinished(run.folder))
+        raise Disagreement(why_unfinished(run.folder))
     return f"sfmrl {run.kind}, variant {run.facts['variant']}, begun {run.facts['created'][:16]}, is finished"
 
 

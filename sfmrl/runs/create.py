@@ -33,7 +33,7 @@ from sfmrl.runs.folders import (
     leftovers,
     locked,
     run_folders,
-    unfinished,
+    why_unfinished,
 )
 from sfmrl.runs.run import Run, open_run
 from sfmrl.runs.weights import find_weights, load_weights, model_names
@@ -204,7 +204,7 @@ def start_run(config: Config, source: Path | None, from_scratch: bool, folder: P
         return create_run("rl", config, folder, **existing, weights=weights)
     imitation = open_run(source, "il")
     if not finished(source):
-        raise ConfigError(unfinished(source))
+        raise ConfigError(why_unfinished(source))
     if imitation.config.simulation != config.simulation:
         raise ConfigError(f"the demonstrations of {source} come from another simulation; name another --from")
     config = replace(config, imitation=imitation.config.imitation)

@@ -75,8 +75,8 @@ def finished(folder: Path) -> bool:
     return (folder / WEIGHTS).exists()
 
 
-def unfinished(folder: Path) -> str:
-    """An error message about an unfinished run: how to continue it, or that it is being trained now."""
+def why_unfinished(folder: Path) -> str:
+    """Why a run cannot be used yet: it is being trained now, or has stopped; with what to type."""
     if in_training(folder):
         return f"{folder} is being trained now; wait until it is finished"
     return f"{folder} is not finished; resume it: sfmrl {kind_of(folder) or 'rl'} --resume {as_words(folder)}"

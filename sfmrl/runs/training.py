@@ -76,7 +76,7 @@ def run_reinforcement(run: Run, progress: Progress, stop: StopSignal, say: Say, 
     explorer = Explorer(config, threads - 1 if aside else threads, aside, run.facts.get("own_reward"))
     with explorer, progress("reinforcement", left) as advance:
         while True:
-            if due(learner, settings):
+            if validation_due(learner, settings):
                 validate(run, learner, stop, say, threads)
             if learner.episode >= settings.episodes:
                 break
@@ -153,7 +153,7 @@ def train_until_validation(
         stop.check()
 
 
-def due(learner: Learner, settings: Reinforcement) -> bool:
+def validation_due(learner: Learner, settings: Reinforcement) -> bool:
     """Whether a validation is due: one at each interval, from episode 0 on, and one at the end."""
     if learner.validations and learner.validations[-1]["episode"] == learner.episode:
         return False

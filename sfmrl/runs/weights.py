@@ -16,7 +16,7 @@ from sfmrl.fast import FastNetwork
 from sfmrl.policies import POLICIES
 from sfmrl.runs.crowdnav import CHECKPOINT, read_foreign, sarl_parameters, unwrapped
 from sfmrl.runs.files import DamagedFile, read_arrays, read_listed, read_regular, sha256, write_atomically
-from sfmrl.runs.folders import WEIGHTS, facts_of, finished, unfinished
+from sfmrl.runs.folders import WEIGHTS, facts_of, finished, why_unfinished
 from sfmrl.runs.run import open_run
 
 MODELS = Path(__file__).parent.parent / "models"
@@ -112,7 +112,7 @@ def find_weights(name_or_path: str | Path) -> Path:
         open_run(path)
         if finished(path):
             return path / WEIGHTS
-        raise ConfigError(unfinished(path))
+        raise ConfigError(why_unfinished(path))
     for name in (CHECKPOINT, WEIGHTS):
         if (path / name).exists():
             return path / name
