@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -98,7 +99,7 @@ def il(variant: str | None = VARIANT, *, settings: dict[str, Any], training: Tra
         run = create_run("il", training.new_config(variant, settings), training.run, **training.existing())
     if training.go_on and _already_finished(run):
         return
-    _train(run, lambda progress, stop: run_imitation(run, progress, stop))
+    _train(run, run_imitation)
     preset, seed = run.config.preset, run.config.seed
     needed: dict[str, Any] = {} if preset == "quick" else {"preset": preset}
     needed |= ({"seed": seed} if seed else {}) | unusual_simulation(run.config)
@@ -138,8 +139,7 @@ def rl(
         run = start_run(config, source, from_scratch, training.run, **training.existing())
     if training.go_on and _already_finished(run):
         return
-    workers = threads or available_cores()
-    result = _train(run, lambda progress, stop: run_reinforcement(run, progress, stop, say, threads=workers))
+    result = _train(run, partial(run_reinforcement, say=say, threads=threads or available_cores()))
     title = f"{run.folder}, environment {label(run.config.reinforcement.test_environment)}"
     print_metrics(result, f"test of {title}, the network alone")
     if "with_recovery" in result:
@@ -201,7 +201,7 @@ def _already_finished(run: Any) -> bool:
 
 
 def _train(run: Any, work: Callable[..., Any]) -> Any:
-    """Train; raises Interrupted, which says how to resume, if a stop is requested."""
+    """Train by `work(run, progress, stop)`; raises Interrupted, which says how to resume, if a stop is requested."""
     from sfmrl.rewards import reward_terms
     from sfmrl.runs.bits import machine_bits
     from sfmrl.runs.progress import Interrupted, StopSignal, show_progress
@@ -219,7 +219,7 @@ def _train(run: Any, work: Callable[..., Any]) -> Any:
         if run.facts["versions"].get("bits", machine_bits()) != machine_bits():
             say("the run began on a machine with other bits: its numbers will not be those of an uninterrupted run")
         try:
-            return work(show_progress(err), stop)
+            return work(run, show_progress(err), stop)
         except (Interrupted, KeyboardInterrupt):
             raise Interrupted(f"resume with: {how}") from None
         except OSError as error:  # such as a full disk
