@@ -16,7 +16,7 @@ from sfmrl.config import Config, ConfigError, Untrusted, as_typed
 from sfmrl.own_code.trust import code_digest
 from sfmrl.rewards import reward_terms
 from sfmrl.runs.bits import versions
-from sfmrl.runs.files import SUMS, DamagedFile, digest_of, read_checked, read_sums, retried, write_together
+from sfmrl.runs.files import SUMS, DamagedFile, digest_of, read_checked, read_sums, remove, write_together
 from sfmrl.runs.folders import (
     DEMONSTRATIONS,
     FIRST,
@@ -124,14 +124,14 @@ def _make(folder: Path, files: dict[str, str], overwrite: bool) -> None:
     with locked(folder):
         _check_replaceable(folder, overwrite)  # another process may have made a run in the meantime
         if MAP in _listed(folder):
-            retried((folder / MAP).unlink, True)
+            remove(folder / MAP)
         elif MAP in files and (folder / MAP).exists():
             raise ConfigError(f"{folder / MAP} does not belong to the run; move it away, or name another --run")
         # First SHA256SUMS: if this is interrupted, the old run can no longer be opened, but it can still be replaced.
-        retried((folder / SUMS).unlink, True)
+        remove(folder / SUMS)
         for path in files_of_run(folder):
             if path.name not in FIRST:
-                retried(path.unlink)
+                remove(path)
         write_together(folder, {name: text.encode() for name, text in files.items()})
 
 

@@ -75,6 +75,11 @@ def retried(operation: Callable[..., None], *arguments: Any) -> None:
             time.sleep(0.02)
 
 
+def remove(path: Path) -> None:
+    """Remove a file, if it is there."""
+    retried(path.unlink, True)
+
+
 def write_atomically(path: Path, data: bytes, *, checked: bool = True) -> str:
     """Write one file as `write_together` does, and return its SHA-256.
 
@@ -97,7 +102,7 @@ def remove_checked(paths: list[Path]) -> None:
     if paths:
         unlist({path.name for path in paths}, paths[0].parent)
     for path in paths:
-        retried(path.unlink, True)
+        remove(path)
 
 
 def unlist(names: set[str], folder: Path) -> None:

@@ -20,8 +20,8 @@ from sfmrl.runs.files import (
     read_checked,
     read_regular,
     read_sums,
+    remove,
     remove_checked,
-    retried,
     unlist,
     write_together,
 )
@@ -146,7 +146,7 @@ def sole_use(run: Run) -> Iterator[None]:
 def _tidy(run: Run) -> None:
     """Remove what killed processes left: temporary files, digests without files, checkpoints of a finished run."""
     for path in leftovers(run.folder):
-        retried(path.unlink)
+        remove(path)
     gone = {name for name in read_sums(run.folder) if not (run.folder / name).exists()}
     if finished(run.folder):  # then only checkpoints may be missing: any other missing file stays listed
         gone = set(filter(CHECKPOINT.fullmatch, gone))
