@@ -16,7 +16,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from sfmrl.fast.arrays import Layers, array, outer, relu, relu_back
-from sfmrl.fast.layers import Parameters, Sizes
+from sfmrl.fast.layers import Parameters
 from sfmrl.states import OWN
 
 # Of `value_prior`: the fall-off per metre, the distance at which the goal counts as reached (m), and the value there.
@@ -48,9 +48,8 @@ class FastNetwork:
             for flat in (self.flat, self.gradient)
         )
         self.value_prior = value_prior
-        units = {name: array.size for name, array in arrays.items() if name.endswith("bias")}
-        self.sizes = Sizes(*(tuple(units[name] for name in units if name.startswith(part)) for part in Sizes._fields))
-        self.own = len(self.parameters["mlp3.0.weight"]) - self.sizes.mlp2[-1]  # how many columns are the robot's own
+        # mlp3 reads the robot's own columns and mlp2's output.
+        self.own = len(self.parameters["mlp3.0.weight"]) - len(self.parameters["mlp2.2.bias"])
         self.forces = self.own > len(OWN)
         products = {name: array.size for name, array in arrays.items() if name.endswith("weight") and len(array.T) > 1}
         products["attention.0.weight"] //= 2  # computed in two halves
