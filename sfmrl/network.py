@@ -10,8 +10,8 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from sfmrl.fast.layers import Sizes, drawn_parameters
 from sfmrl.fast.network import AT_GOAL, PER_METRE, PRIOR
+from sfmrl.fast.parameters import Sizes, drawn_parameters
 from sfmrl.states import column_names, own_columns
 
 

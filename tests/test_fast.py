@@ -14,7 +14,7 @@ from test_network import OTHER_SIZES, random_states
 from torch.nn.functional import mse_loss
 
 from sfmrl.fast import FastNetwork, Sizes, as_fast, kernels
-from sfmrl.fast.layers import layer_shapes
+from sfmrl.fast.parameters import layer_shapes
 from sfmrl.network import ValueNetwork
 
 

@@ -16,7 +16,7 @@ from sfmrl.evaluation import evaluation_record
 from sfmrl.geometry import length, wrapped
 from sfmrl.learning import Memory
 from sfmrl.lessons.explain import explain_episode
-from sfmrl.lessons.tables import explanation_parts
+from sfmrl.lessons.explanation_tables import explanation_parts
 from sfmrl.lookahead import SarlPolicy, world_states
 from sfmrl.network import ValueNetwork
 from sfmrl.policies import load_policy

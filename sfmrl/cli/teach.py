@@ -47,7 +47,7 @@ def explain(
     """Take an episode apart: each step's reward by term, and what the paper's rewards would have paid."""
     from sfmrl.episodes import play_episodes
     from sfmrl.lessons.explain import chosen_steps, explain_episode
-    from sfmrl.lessons.tables import explanation_parts
+    from sfmrl.lessons.explanation_tables import explanation_parts
 
     check_new_files(test.overwrite, csv=csv)
     chosen, name, config = test.choose(policy, settings)

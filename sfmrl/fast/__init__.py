@@ -4,9 +4,9 @@ from typing import Any
 
 from sfmrl.config import Config
 from sfmrl.fast.blas import kernels as kernels
-from sfmrl.fast.layers import Sizes as Sizes
-from sfmrl.fast.layers import drawn_parameters
 from sfmrl.fast.network import FastNetwork
+from sfmrl.fast.parameters import Sizes as Sizes
+from sfmrl.fast.parameters import drawn_parameters
 
 
 def new_network(config: Config, seed: int = 0) -> FastNetwork:

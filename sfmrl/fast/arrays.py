@@ -5,7 +5,7 @@ import threading
 
 import numpy as np
 
-from sfmrl.fast.layers import Parameters
+from sfmrl.fast.parameters import Parameters
 
 ROWS = 12  # that AVX2 kernels take at a time
 

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from sfmrl.fast.arrays import Layers, array, outer, relu, relu_back
-from sfmrl.fast.layers import Parameters
+from sfmrl.fast.parameters import Parameters
 from sfmrl.states import OWN
 
 # Of `value_prior`: the fall-off per metre, the distance at which the goal counts as reached (m), and the value there.

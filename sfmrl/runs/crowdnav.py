@@ -15,7 +15,7 @@ import numpy as np
 
 from sfmrl.config import ConfigError
 from sfmrl.fast import as_fast
-from sfmrl.fast.layers import Parameters, Sizes, layer_shapes
+from sfmrl.fast.parameters import Parameters, Sizes, layer_shapes
 from sfmrl.runs.files import DamagedFile, read_regular, write_atomically
 from sfmrl.states import OWN, column_names
 

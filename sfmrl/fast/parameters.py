@@ -1,4 +1,4 @@
-"""SARL's layers: their numbers of units, and the names, shapes and first values of their parameters."""
+"""SARL's parameters: their names, shapes and first values, from the numbers of units in its layers."""
 
 from typing import NamedTuple
 
