@@ -16,7 +16,6 @@ from sfmrl.config import Config
 from sfmrl.exploration import Explored, explore
 from sfmrl.fast import FastNetwork
 from sfmrl.lookahead import SarlPolicy
-from sfmrl.own_code.trust import check_unchanged
 from sfmrl.runs.progress import SIGNALS, held_back
 
 
@@ -24,11 +23,11 @@ class Explorer:
     """Plays training episodes with a network, on a second process if `aside`; a context manager.
 
     Threads would not do: the network's operations are many and small, and between them, threads of one process wait for
-    each other. If the second process is killed, this one plays. `own_reward` is the SHA-256 of the user's own reward.
+    each other. If the second process is killed, this one plays.
     """
 
-    def __init__(self, config: Config, threads: int, aside: bool, own_reward: str | None = None) -> None:
-        self._setup = (config, threads, own_reward)
+    def __init__(self, config: Config, threads: int, aside: bool) -> None:
+        self._config, self._threads = config, threads
         self._pool = None
         if aside:
             spawn = multiprocessing.get_context("spawn")  # a fork would inherit locks that threads hold
@@ -49,7 +48,7 @@ class Explorer:
         Without a second process, that function plays, with the actor as it is then. With one, the actor must not change
         before that function returns.
         """
-        work = partial(_explore, *self._setup, actor, episodes)
+        work = partial(_explore, actor, self._config, self._threads, episodes)
         future = None
         if self._pool:
             with suppress(BrokenProcessPool):
@@ -77,9 +76,5 @@ def _prepare() -> None:
     Thread(target=end_with_it, daemon=True).start()
 
 
-def _explore(
-    config: Config, threads: int, own_reward: str | None, actor: FastNetwork, episodes: Sequence[int]
-) -> Explored:
-    explored = explore(SarlPolicy(actor, config, threads), config, episodes)  # which loads the user's own reward
-    check_unchanged(config.reward.reward, own_reward)
-    return explored
+def _explore(actor: FastNetwork, config: Config, threads: int, episodes: Sequence[int]) -> Explored:
+    return explore(SarlPolicy(actor, config, threads), config, episodes)
