@@ -270,7 +270,7 @@ def _checked(world: World, action: np.ndarray, many: bool = True) -> np.ndarray:
     """An action (E, 2) or, if `many`, (E, A, 2) as floats; raises ValueError for other shapes, and unless finite."""
     action = vectors("action", action)
     if action.ndim not in (2, 2 + many) or len(action) != len(world):
-        shapes = f"({len(world)}, 2)" + f" or ({len(world)}, A, 2)" * many
+        shapes = f"({len(world)}, 2)" + (f" or ({len(world)}, A, 2)" if many else "")
         raise ValueError(f"action must have shape {shapes}, not {action.shape}")
     if not np.isfinite(action).all():
         raise ValueError("action is NaN or infinite; it must be a finite velocity in m/s")

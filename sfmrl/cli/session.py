@@ -186,7 +186,8 @@ class TestOptions:
         elif self.place is not None or self.where(config) == label(self.where(config)):  # else a run has its own map
             words += ["--environment", self.where(config)]
         words += ["--seed", self.seed, "--episode", episode, *as_options(self.crowd | settings)]
-        return as_typed(map(str, words + ["--trust-reward"] * self.trust_reward))
+        words += ["--trust-reward"] if self.trust_reward else []
+        return as_typed(map(str, words))
 
 
 def simulation_for(policy: Any, config: Config, settings: dict[str, Any]) -> Simulation:

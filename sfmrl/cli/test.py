@@ -94,8 +94,10 @@ def compare(
             return
         recovering = [row["policy"] for row in comparison["policies"] if "recovered" in row]
         title = test.title(config, episodes) + (f"\nwith recovery: {', '.join(recovering)}" if recovering else "")
-        for sheet in comparison_sheets(comparison, title) + [social_sheet(comparison)] * social:
+        for sheet in comparison_sheets(comparison, title):
             print_sheet(sheet)
+        if social:
+            print_sheet(social_sheet(comparison))
     if comparison["differing"]:
         episode, versus = _first_difference(comparison["differing"][0], policies)
         say(f"see one: {test.replay_command(policies[0], config, episode, settings, versus)}")

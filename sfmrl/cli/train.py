@@ -70,9 +70,10 @@ class TrainingOptions:
             config = trusted(Config.from_json(read_regular(self.config), self.config), self.trust_reward)
             named = make_config(preset or config.preset, variant or "sarl")
             # Beside --config, --preset sets all that some preset changes, and --variant all that some variant changes.
-            for table in [PRESETS] * bool(preset) + [VARIANTS] * bool(variant):
-                for entry in table.values():
-                    config = override(config, _values(named, entry))
+            for given, table in ((preset, PRESETS), (variant, VARIANTS)):
+                if given:
+                    for entry in table.values():
+                        config = override(config, _values(named, entry))
         config = override(config, settings)
         check_read(config.reward, settings.get("reward", {}))
         check_planner([config.planner], settings.get("planner", {}))
@@ -104,7 +105,8 @@ def il(variant: str | None = VARIANT, *, settings: dict[str, Any], training: Tra
     needed: dict[str, Any] = {} if preset == "quick" else {"preset": preset}
     needed |= ({"seed": seed} if seed else {}) | unusual_simulation(run.config)
     named = run.facts["variant"] in VARIANTS and run.facts["variant"] != "sarl"
-    which = ["--variant", run.facts["variant"]] if named else ["--reward", "sfm", *["--forces"] * run.config.forces]
+    which = ["--variant", run.facts["variant"]] if named else ["--reward", "sfm"]
+    which += ["--forces"] if run.config.forces and not named else []
     following = ["sfmrl", "rl", *which, "--from", str(run.folder), *as_options(needed)]
     say(f"done: {run.folder}; next: {as_typed(following)}, or {on_run('eval', run)}")
 

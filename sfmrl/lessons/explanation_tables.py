@@ -47,7 +47,7 @@ def _steps_table(explanation: Explanation, shown: list[dict[str, Any]], columns:
     terms = [term for term, paid in explanation.plain.items() if paid and len(explanation.plain) > 1]
     width = 21 + 6 * turning + 14 * valued + (DIGITS + 4) * (1 + len(terms))
     digits = DIGITS if width <= columns else FEWER_DIGITS
-    heads = ["step", "time", *("turn",) * turning, "gap", "push", *("value", "other") * valued]
+    heads = ["step", "time", *(["turn"] if turning else []), "gap", "push", *(["value", "other"] if valued else [])]
     heads += [HEADS.get(name, name) for name in terms]
     table = plain_table(*heads, "reward", first="right")
     for row in shown:
@@ -67,7 +67,7 @@ def _sums_table(explanation: Explanation) -> Table:
     terms = [term for term in terms if any(paid.get(term) for paid in rewards.values())]
     table = plain_table("", *(HEADS.get(name, name) for name in terms), "return")
     lines = {"plain*": explanation.plain}
-    lines |= {name + "*" * (name == explanation.own): paid for name, paid in rewards.items()}
+    lines |= {f"{name}*" if name == explanation.own else name: paid for name, paid in rewards.items()}
     for name, paid in lines.items():
         cells = [_signed(paid[term]) if term in paid else Text("-", "dim") for term in terms]
         table.add_row(name, *cells, _signed(sum(paid.values())), end_section=name == "plain*")

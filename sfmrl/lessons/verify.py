@@ -132,7 +132,8 @@ def _tables(run: Run) -> str:
     must, listed = ["metrics.csv"], read_sums(run.folder)
     if run.kind == "rl":
         settings = run.config.reinforcement
-        must += ["validation.csv", "test.csv", "result.json", *[MAP] * settings.environment.startswith(DRAWN)]
+        must += ["validation.csv", "test.csv", "result.json"]
+        must += [MAP] if settings.environment.startswith(DRAWN) else []
     if missing := [name for name in must if name not in listed]:
         raise Disagreement(f"not listed in {SUMS}: {', '.join(missing)}")
     return f"{', '.join(must)} are listed in {SUMS}"

@@ -89,7 +89,7 @@ def as_words(folder: Path) -> str:
     except (OSError, ValueError, LookupError, TypeError, DamagedFile):
         reward = ""  # opening the run reports the error
     name = f"./{folder}" if str(folder).startswith("-") else str(folder)  # a leading "-" would make it an option
-    return as_typed([name, *["--trust-reward"] * (":" in str(reward))])
+    return as_typed([name, "--trust-reward"] if ":" in str(reward) else [name])
 
 
 def as_options(settings: dict[str, Any]) -> list[str]:

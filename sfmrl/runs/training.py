@@ -130,7 +130,7 @@ def needs_fit(trained: Config, config: Config) -> bool:
 
     It must if the state or the value prior differs and, where `refit` is on, if the reward or the discount differs.
     """
-    names = ["forces", "value_prior"] + ["discount", "reward"] * config.imitation.refit
+    names = ["forces", "value_prior"] + (["discount", "reward"] if config.imitation.refit else [])
     return any(getattr(trained, name) != getattr(config, name) for name in names)
 
 
