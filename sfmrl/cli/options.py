@@ -104,25 +104,26 @@ TRUST_REWARD = option(
 )
 
 
-def command(example: str, *sections: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def command(example: str, *sections: str, plays: bool = False) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Register a function as the command that the example shows, with the knobs of `sections` ("": the top level).
 
-    The function gets the knobs that were given as `settings`, nested as `config.override` takes them.
+    The function gets the knobs that were given as `settings`, nested as `config.override` takes them. If it `plays` a
+    policy, they are by default that policy's own.
     """
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
         text = inspect.cleandoc(function.__doc__ or "")
         text = re.sub(r"(?<!\n)\n(?!\n)", " ", text)  # Typer would keep the line ends of all paragraphs but the first
         how: dict[str, Any] = {"cls": Command, "help": text, "epilog": f"Example: {example}"}
-        app.command(example.split()[1], **how)(_with_options(function, sections))
+        app.command(example.split()[1], **how)(_with_options(function, sections, plays))
         return function
 
     return register
 
 
-def _with_options(function: Callable[..., None], sections: tuple[str, ...]) -> Callable[..., None]:
+def _with_options(function: Callable[..., None], sections: tuple[str, ...], plays: bool) -> Callable[..., None]:
     """Return what Typer calls: it takes each option as a parameter, and calls `function` with groups and settings."""
-    knobs, plays = _knobs(sections), "test" in inspect.signature(function).parameters
+    knobs = _knobs(sections)
     groups: dict[str, Any] = {}
     parameters: list[inspect.Parameter] = []
     for parameter in inspect.signature(function).parameters.values():

@@ -168,7 +168,7 @@ def figure(
         write_text(csv, csv_text(lines))
 
 
-@command("sfmrl plot sarl --environment 2 --episode 3 --out episode.png", "simulation", "reward", "planner")
+@command("sfmrl plot sarl --environment 2 --episode 3 --out episode.png", "simulation", "reward", "planner", plays=True)
 def plot(
     policy: str | None = options.POLICY,
     *,

@@ -29,7 +29,9 @@ from sfmrl.runs.files import csv_text
 
 
 @command(
-    "sfmrl explain orca --environment 2 --reward sfm --episode 3 --csv steps.csv", *("simulation", "reward", "planner")
+    "sfmrl explain orca --environment 2 --reward sfm --episode 3 --csv steps.csv",
+    *("simulation", "reward", "planner"),
+    plays=True,
 )
 def explain(
     policy: str | None = options.POLICY,

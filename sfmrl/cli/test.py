@@ -19,6 +19,7 @@ LISTED = 12  # failed episodes whose numbers are printed
 @command(
     "sfmrl eval orca --environment 2 --episodes 100 --csv orca.csv",
     *("simulation", "reward", "planner"),
+    plays=True,
 )
 def evaluate(
     policy: str | None = options.POLICY,
@@ -63,7 +64,7 @@ def evaluate(
         say(reason)
 
 
-@command("sfmrl compare sarl sarl-sfm6 orca --environment table2", "simulation", "reward", "planner")
+@command("sfmrl compare sarl sarl-sfm6 orca --environment table2", "simulation", "reward", "planner", plays=True)
 def compare(
     policies: list[str] = typer.Argument(..., help="two or more, as for eval; all are compared with the first"),
     *,

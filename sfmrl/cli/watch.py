@@ -59,7 +59,7 @@ class Look:
         return self.ascii_only or (shown and not unicode)
 
 
-@command("sfmrl ascii-render orca --environment 3 --episode 17", "simulation", "reward", "planner")
+@command("sfmrl ascii-render orca --environment 3 --episode 17", "simulation", "reward", "planner", plays=True)
 def ascii_render(
     policy: str | None = options.POLICY,
     *,
