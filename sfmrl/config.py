@@ -1,4 +1,4 @@
-"""Every setting of sfmrl with its default, unit, source and help text, from which its option is made.
+"""Every setting of sfmrl with its default, unit, source and help text; its option is generated from them.
 
 The defaults are the paper's ("Effects of a Social Force Model reward in Robot Navigation based on Deep Reinforcement
 Learning", Gil and Sanfeliu) or, marked "CrowdNav", those of CrowdNav/SARL (Chen et al., 2019); those marked "ours", and
@@ -90,12 +90,12 @@ class Simulation(Settings):
 
     time_step: float = knob(0.25, "length of a step, s", 1e-3, 1)
     time_limit: float = knob(
-        25.0, "the last step is the first that begins 1 s or less before this, s (CrowdNav)", 1, 3600
+        25.0, "time limit, s; the last step is the first to begin 1 s or less before it (CrowdNav)", 1, 3600
     )
     crowd: str = knob("orca", "what drives the humans", choices=("orca", "sfm"))
     kinematics: str = knob(
         "holonomic",
-        "the robot moves in any direction at once, or turns at most pi rad/s and drives ahead (CrowdNav)",
+        "the robot moves in any direction at once, or turns by at most pi rad/s and drives ahead (CrowdNav)",
         choices=("holonomic", "unicycle"),
     )
     squares: str = knob(
@@ -103,14 +103,16 @@ class Simulation(Settings):
         "measure gaps to a square's outline (ours) or to the disc inside it (paper)",
         choices=("solid", "disc"),
     )
-    robot_visible: bool = knob(True, "the humans see the robot (paper: they do)")
-    random_attributes: bool = knob(False, "humans differ: radius 0.3-0.5 m, highest speed 0.5-1.5 m/s (CrowdNav)")
+    robot_visible: bool = knob(True, "the humans see the robot (as in the paper)")
+    random_attributes: bool = knob(
+        False, "random radii (0.3-0.5 m) and highest speeds (0.5-1.5 m/s) of humans (CrowdNav)"
+    )
     safety_space: float = knob(0.0, "added to every radius when ORCA drives the robot, m", 0, 10)
     clearance: float = knob(0.01, "added to every radius inside ORCA, m (CrowdNav)", 0, 10)
-    neighbor_distance: float = knob(10.0, "ORCA: agents farther away are ignored, m (CrowdNav)", 0, 1e6)
+    neighbor_distance: float = knob(10.0, "ORCA: ignore agents farther away than this, m (CrowdNav)", 0, 1e6)
     max_neighbors: int = knob(10, "ORCA: number of nearest agents considered (CrowdNav)", 0, 1000)
-    time_horizon: float = knob(5.0, "ORCA: how far ahead agents are avoided, s (CrowdNav)", 1e-3, 1000)
-    obstacle_time_horizon: float = knob(5.0, "ORCA: how far ahead polygons are avoided, s (CrowdNav)", 1e-3, 1000)
+    time_horizon: float = knob(5.0, "ORCA: time horizon for agents, s (CrowdNav)", 1e-3, 1000)
+    obstacle_time_horizon: float = knob(5.0, "ORCA: time horizon for polygons, s (CrowdNav)", 1e-3, 1000)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -133,14 +135,14 @@ class Reward(Settings):
     reward: str = knob("crowd", "crowd (CrowdNav), sfm, sfm-discount (paper), or your own: file.py:function")
     success: float = knob(1.0, "reward for reaching the goal (CrowdNav)", *ANY_REWARD)
     collision: float = knob(-0.25, "reward for a collision (CrowdNav)", *ANY_REWARD)
-    discomfort_distance: float = knob(0.2, "closer than this is too close, m (CrowdNav)", 0, 1000)
+    discomfort_distance: float = knob(0.2, "gap below which the robot is too close, m (CrowdNav)", 0, 1000)
     discomfort_slope: float = knob(0.125, "crowd: penalty per metre too close, per 0.25 s (CrowdNav)", *ANY_REWARD)
     discomfort_amplitude: float = knob(-0.03, "sfm: discomfort at gap 0, per 0.25 s (the paper's A)", *ANY_REWARD)
     discomfort_decay: float = knob(10.0, "sfm: how fast discomfort fades with the gap, 1/m (the paper's B)", 0, 1e6)
     k: float = knob(0.001, "sfm: weight of moving at the preferred velocity, per 0.25 s (the paper's k)", *ANY_REWARD)
     distance_weight: float = knob(0.0001, "sfm: penalty per metre from the goal, per 0.25 s", *ANY_REWARD)
-    discount_start: float = knob(10.0, "sfm-discount: arriving later than this costs, s", 0, 3600)
-    discount_rate: float = knob(0.02, "sfm-discount: cost per second late", *ANY_REWARD)
+    discount_start: float = knob(10.0, "sfm-discount: arrivals later than this cost reward, s", 0, 3600)
+    discount_rate: float = knob(0.02, "sfm-discount: cost of each second after --discount-start", *ANY_REWARD)
 
 
 @dataclass(frozen=True)
@@ -149,7 +151,7 @@ class Planner(Settings):
 
     recover: bool = knob(False, "in tests and replays, lead a stuck robot around squares and look farther ahead (ours)")
     stall_time: float = knob(2.0, "recover: time without progress after which the robot is stuck, s", 0, 3600)
-    stall_distance: float = knob(0.25, "recover: progress shortens the path to the goal by at least this, m", 0, 1000)
+    stall_distance: float = knob(0.25, "recover: least shortening of the path that counts as progress, m", 0, 1000)
     resolution: float = knob(0.1, "paths around squares: side of the grid's cells, m", 0.02, 0.4)
     inflation: float = knob(0.1, "paths around squares: cells nearer to a square than this cost more, m", 0, 10)
 
@@ -172,7 +174,7 @@ class Reinforcement(Settings):
 
     episodes: int = knob(10_000, "training episodes", 1, 10_000_000)
     parallel: int = knob(
-        1, "episodes played side by side; with 2 or more, the network learns meanwhile from earlier ones", 1, 10_000
+        1, "episodes played side by side; with 2 or more, while the network learns from earlier ones", 1, 10_000
     )
     batches: int = knob(100, "gradient steps per episode, each on one batch (CrowdNav)", 0, 10_000)
     batch_size: int = knob(100, "states in a batch", 1, 100_000)
@@ -187,7 +189,7 @@ class Reinforcement(Settings):
         choices=("td", "returns"),
     )
     target_interval: int = knob(50, "episodes between updates of the target network (CrowdNav)", 1, 10_000_000)
-    memory: int = knob(100_000, "states kept to learn from (CrowdNav)", 1, 10_000_000)
+    memory: int = knob(100_000, "size of the replay memory, states (CrowdNav)", 1, 10_000_000)
     environment: str = knob("table1", "environment to train in, or a mix such as 1:0.7,2:0.3")
     test_environment: str = knob("table1", "environment of validation and test; follows --environment unless given")
     validation_interval: int = knob(1000, "episodes between validations", 1, 10_000_000)
@@ -199,18 +201,18 @@ class Reinforcement(Settings):
 class Config(Settings):
     """All settings that decide the numbers of a training."""
 
-    seed: int = knob(0, "seed of the training; validation and test are the same for every seed", 0, LARGEST_SEED)
-    preset: str = knob("quick", "settings: sfmrl's (minutes), or as published (hours)", choices=("quick", "paper"))
+    seed: int = knob(0, "seed of the training; all seeds share validation and test episodes", 0, LARGEST_SEED)
+    preset: str = knob("quick", "settings: sfmrl's own (minutes), or as published (hours)", choices=("quick", "paper"))
     forces: bool = knob(False, "social forces in the state: 17 columns instead of 13")
     discount: float = knob(0.9, "discount per second at 1 m/s (gamma; paper, CrowdNav)", 0, 1)
-    value_prior: bool = knob(False, "write the value as 0.9^(goal distance - 0.3) (0.8 + network) (ours)")
+    value_prior: bool = knob(False, "compute the value as 0.9^(goal distance - 0.3) (0.8 + network) (ours)")
     careful: bool = knob(
         False,
-        "look ahead with care: a collision has no later value, traps are avoided, elements over 10 m away are ignored, "
-        "and a robot without elements goes straight (ours)",
+        "careful lookahead: add no value after a collision, avoid traps, ignore elements over 10 m away, and go "
+        "straight if there are no others (ours)",
     )
     optimizer: str = knob("sgd", "sgd with momentum 0.9, or adam with a rate that falls to 0", choices=("sgd", "adam"))
-    mirror: bool = knob(False, "mirror every other state of a batch left to right, which changes no value (ours)")
+    mirror: bool = knob(False, "mirror every other state of a batch left to right; this changes no value (ours)")
     simulation: Simulation = field(default_factory=Simulation)
     reward: Reward = field(default_factory=Reward)
     planner: Planner = field(default_factory=Planner)
@@ -219,7 +221,7 @@ class Config(Settings):
 
     @property
     def reach(self) -> float:
-        """How far the network sees, m; 10 m covers each of the paper's environments."""
+        """Distance up to which elements are in the state, m; 10 m covers each of the paper's environments."""
         return 10.0 if self.careful else math.inf
 
     def to_json(self) -> str:

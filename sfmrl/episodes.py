@@ -1,6 +1,6 @@
 """Play episodes to their end, many side by side, and record them in arrays.
 
-When an episode ends, a waiting one takes its place, so the batch stays full; no number depends on what shares a batch.
+When an episode ends, a waiting one takes its place, so the batch stays full. Results do not depend on the batch.
 Rewards and returns are computed from the record afterwards, so one set of episodes serves every reward and state.
 """
 
@@ -119,18 +119,19 @@ def play(
 ) -> Record:
     """Play every scene to its end with `policy` and return the record.
 
-    `policy` is a name ("orca", "sarl", a run folder, a weights file: see `load_policy`) or a function that is called
+    `policy` is a name ("orca", "sarl", a run folder, a weights file: see `load_policy`) or a function. It is called
     before every step with the `World` of the E running episodes and with everybody's velocities (E, N, 2) in m/s in the
-    coming step, both read-only, and returns the robots' velocities (E, 2) in m/s, none faster than its v_pref.
+    coming step, both read-only. It returns the robots' velocities (E, 2) in m/s, none faster than its v_pref.
 
-    `reward` is "crowd", "sfm", "sfm-discount", "file.py:function", a `Reward` with its numbers, or a function that is
-    given a `Transition` and `Reward()` and returns an array, one number for each transition. `safety_space` (m) is
-    added to every radius if ORCA drives the robot; `crowd` is "orca" or "sfm"; `discount` is per second at 1 m/s. If
+    `reward` is "crowd", "sfm", "sfm-discount", "file.py:function", a `Reward` with its numbers, or a function. It takes
+    a `Transition` and `Reward()`, and returns an array, one number for each transition. `safety_space` (m) is added to
+    every radius if ORCA drives the robot; `crowd` is "orca" or "sfm"; `discount` is per second at 1 m/s. If
     `kinematics` is "unicycle", the robot turns at most pi rad/s and drives ahead, whatever velocity the policy returns.
-    Where these and `robot_visible` are None, they are those of `simulation`, as are all other settings (time step and
-    limit, squares, ORCA's numbers); by default, it is that of the policy's training, or else `Simulation()`.
+    `simulation` holds all settings of the simulator (time step and limit, squares, ORCA's numbers), by
+    default those of the policy's training, or else `Simulation()`; `robot_visible`, `safety_space`, `crowd` and
+    `kinematics` override it unless they are None.
 
-    Raises ConfigError if an argument is none of these, and if a policy or reward returns anything else.
+    Raises ConfigError for other arguments, and if a policy or reward returns anything else.
     """
     if not isinstance(scenes, Scenes):
         raise ConfigError(f"scenes is {described(scenes)}; it takes Scenes, such as sample_scenes('circle5', 100)")
@@ -182,7 +183,7 @@ def play_episodes(
 def _begun(policy: Policy, scenes: Scenes, simulation: Simulation) -> Iterator[None]:
     """Call the policy's `begin`, if it has one; raises ConfigError while the same policy is playing already.
 
-    Both would go on with what the later `begin` has prepared, and their numbers would be wrong.
+    Otherwise both plays would use what the later `begin` has prepared, and their numbers would be wrong.
     """
     begin = getattr(policy, "begin", None)
     if not begin:

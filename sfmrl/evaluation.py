@@ -1,4 +1,4 @@
-"""How good is a policy: the paper's metrics over test episodes, with intervals, overall and by environment."""
+"""The paper's metrics of a policy over test episodes, with intervals, overall and by environment."""
 
 import math
 from collections.abc import Callable
@@ -97,7 +97,7 @@ def metrics(record: Record, policy: Policy | None = None) -> Metrics:
 
 
 def episode_rows(record: Record) -> list[dict[str, Any]]:
-    """A row of plain values for each episode, for a CSV file; `hit` says what the robot ran into: human or square."""
+    """A row of plain values for each episode, for a CSV file; `hit` names what the robot ran into: human or square."""
     columns = {
         "episode": record.scenes.episode,
         "environment": record.scenes.environment,

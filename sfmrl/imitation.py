@@ -37,7 +37,7 @@ def fill_memory(memory: Memory, record: Record, config: Config) -> None:
     """Store the demonstrations' states with their returns under `config`'s reward, without timed-out episodes."""
     record = record.take(record.outcome != "timeout")
     if not len(record.steps):
-        raise ConfigError("every demonstration ended in a time-out, and those are not learnt from; raise --time-limit")
+        raise ConfigError("every demonstration ended in a time-out, which is not learnt from; raise --time-limit")
     rewards = rewards_of(record.transition, record.steps, reward_terms(config.reward))
     returns = returns_of(rewards, step_discount(config.discount, record.scenes.v_pref[:, 0], record.simulation))
     memory.push(record.states(config), returns[record.played])

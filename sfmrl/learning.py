@@ -20,7 +20,7 @@ from sfmrl.states import column_names, mirrored_columns, own_columns
 
 
 class Memory:
-    """The newest `capacity` states (K, F) with their values; states of fewer than K elements get absent ones.
+    """The newest `capacity` states (K, F) with their values; states with fewer than K elements get absent ones.
 
     With `mirror`, every other state of a batch is mirrored left to right, which does not change its value.
     """
@@ -126,10 +126,10 @@ class Resumable:
 class Learner(Resumable):
     """The state of deep V-learning between two rounds of episodes.
 
-    network: what is trained
-    actor: what explores: the network or, in rounds of several episodes, a copy from before the latest batches
-    target: a copy that is renewed at intervals, for the values to learn
-    episode: how many have been learnt from
+    network: the network in training
+    actor: the network that explores: the same or, in rounds of several episodes, a copy from before the latest batches
+    target: the target network, a copy that is renewed at intervals, for the values to learn
+    episode: the number of episodes learnt from
     rows, validations: the lines of metrics.csv and validation.csv
     """
 

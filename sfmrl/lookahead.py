@@ -41,10 +41,10 @@ class SarlPolicy:
 
     `network` is a FastNetwork, or a ValueNetwork to make one of; `config` sets the reward, the discount and the state.
     Blocks of episodes are spread over `threads` threads; the numbers do not depend on how. Raises ConfigError if the
-    network reads other columns than the config's `forces` makes.
+    columns of the network are not those of the config's `forces`.
     """
 
-    batch = 32  # episodes side by side: the network takes most of the time, which larger batches would not reduce
+    batch = 32  # episodes side by side: the network takes most of the time, and larger batches would not reduce it
 
     def __init__(self, network, config: Config, threads: int = 1) -> None:
         self.network, self.config, self.threads = as_fast(network), config, threads

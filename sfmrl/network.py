@@ -18,7 +18,7 @@ from sfmrl.states import column_names, own_columns
 class ValueNetwork(nn.Module):
     """The value of robot-centred states: (B, K, F) -> (B,), F = 13 or, with `forces`, 17.
 
-    An absent element is a row with NaN in its own columns. With `value_prior` the value is written as
+    An absent element is a row with NaN in its own columns. With `value_prior` the value is computed as
     0.9^(goal distance - 0.3) (0.8 + network), so that it decreases with distance before any training. `sizes` are the
     numbers of units; the parameters are drawn from `seed`.
     """

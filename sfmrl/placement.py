@@ -1,7 +1,7 @@
 """The environments of the paper and of CrowdNav: people and squares at random places, by rejection sampling.
 
 The random generator of each episode proposes places, and the first one that fits is taken. Many episodes are
-sampled at once, and none depends on the others.
+sampled at once, independently of each other.
 """
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ REMEDY = "on this circle; fewer people or a larger circle would fit"
 
 
 class Builder:
-    """Scenes in the making, E episodes of N rows; methods place people and squares in the episodes `which` (indices).
+    """Scenes being built, E episodes of N rows; methods place people and squares in the episodes `which` (indices).
 
     `start`, `goal` (E, N, 2) m are NaN in empty rows, `square` (E, N) marks squares; `rngs`, `numbers` and `label` are
     the random generator, number and environment of each episode. People start on a circle of radius `circle` m. With

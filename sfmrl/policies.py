@@ -47,7 +47,7 @@ def find_policy(policy: str | Path | Policy, reward: Any = None) -> Policy:
 
 
 def config_of(policy: Policy) -> Config:
-    """The config that a policy was trained with; `Config()` without one, or with something else under that name."""
+    """The config that a policy was trained with; `Config()` if its attribute `config` is missing or of another type."""
     config = getattr(policy, "config", None)
     return config if isinstance(config, Config) else Config()
 

@@ -1,6 +1,6 @@
-"""Reinforcement: deep V-learning, which goes beyond the demonstrations, as in CrowdNav and the paper.
+"""Reinforcement: deep V-learning from the robot's own episodes, as in CrowdNav and the paper.
 
-Play with epsilon-greedy lookahead, store each state with the value its episode gives it, learn from random batches.
+Play with epsilon-greedy lookahead, store each state with its value to learn, and learn from random batches.
 """
 
 from collections.abc import Callable, Iterator
@@ -16,9 +16,9 @@ def reinforce(
     """Train up to episode `until`; after each round of episodes, yield their record and the mean loss.
 
     `start_exploring(network, episodes)` starts to `explore` and returns a function that waits for the result. A round
-    of several episodes can be played on a second process while the batches of the previous round are learnt: it is
-    played with a copy of the network, the actor, so the numbers do not depend on which ends first. A round of one
-    episode is played when its result is asked for, with the network as it is by then.
+    of several episodes can be played by a second process while the network learns from the batches of the previous
+    round: it is played with a copy of the network, the actor, so the numbers do not depend on which ends first. A round
+    of one episode is played when the returned function is called, with the network as it is then.
     """
     settings = learner.config.reinforcement
 

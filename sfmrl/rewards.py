@@ -24,7 +24,7 @@ REFERENCE_STEP = 0.25  # s, the step for which the terms on the way are defined
 
 @dataclass(frozen=True)
 class Transition(Batch):
-    """What a reward is given: one step of the robot, with any leading axes (...), e.g. (E,), (E, A) or (E, T).
+    """One step of the robot, the input of a reward, with any leading axes (...), e.g. (E,), (E, A) or (E, T).
 
     time (...): s, at the end of the step
     time_step (...): s, how long the step takes
@@ -104,7 +104,7 @@ def sfm_terms(transition: Transition, p: Reward) -> Terms:
 
 
 def sfm_discount_terms(transition: Transition, p: Reward) -> Terms:
-    """`sfm_terms`, less 0.02 (t - 10) on arrival at t >= 10 s, the paper's temporal discount."""
+    """`sfm_terms`, minus 0.02 (t - 10) on arrival at t >= 10 s, the paper's temporal discount."""
     late = np.maximum(transition.time - p.discount_start, 0.0)
     arrived = np.asarray(transition.outcome) == SUCCESS
     return sfm_terms(transition, p) | {"discount": np.where(arrived, -p.discount_rate * late, 0.0)}
@@ -124,7 +124,7 @@ def reward_terms(reward: str | Reward | OwnReward) -> Callable[[Transition], Ter
     A user's own reward (a function, or its name `file.py:function` or `package.module:function`) takes (transition,
     settings) and returns an array (...), which becomes the one term "reward". It gets read-only copies of the arrays;
     one given as a function gets the settings `Reward()`. Each number may depend on its own transition alone, since the
-    transitions in a call vary, for instance with the number of threads, and several threads may call it at once. Raises
+    transitions in a call vary, for instance with the number of threads; several threads may call it at once. Raises
     ConfigError if there is no such reward, and if a user's own fails or returns another shape or numbers that are not
     finite; UntrustedReward if only a file names it.
     """

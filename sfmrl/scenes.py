@@ -1,6 +1,6 @@
-"""Who starts where and goes where: scenes, and how they are sampled from environments.
+"""Scenes (starts and goals of all agents), and how they are sampled from environments.
 
-Each episode has its own random generator, made from (seed, phase, episode): episode 17 is the same whatever else is
+Each episode has its own random generator, made from (seed, phase, episode). So episode 17 is the same whatever else is
 sampled with it, and training, validation and test never share one. Drawings are environments too (`sfmrl.maps`).
 """
 
@@ -41,8 +41,8 @@ class Scenes(Batch):
 
     `start` and `goal` (E, N, 2) in m; `radius` in m and `v_pref` in m/s, (E, N) or anything that broadcasts to it.
     `square` (E, N) marks squares, of side 2 radius. A row with NaN start is absent. `environment` (E,) and `episode`
-    (E,) are labels for reports. Nobody moves faster than v_pref, and all prefer to move at v_pref, or at
-    `preferred_speed` in m/s, (E, N) or broadcast to it, if given. Raises ValueError on bad shapes and values.
+    (E,) are labels for reports. `v_pref` is everybody's highest speed and, unless `preferred_speed` in m/s, (E, N) or
+    broadcast to it, is given, also the preferred one. Raises ValueError on bad shapes and values.
     """
 
     start: np.ndarray

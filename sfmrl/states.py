@@ -1,6 +1,6 @@
-"""The robot-centred state: what the value network reads, a row for each element around the robot.
+"""The robot-centred state, the input of the value network: a row for each element around the robot.
 
-The paper's two states. The robot's own columns are repeated in every element's row, as in SARL: 6 + 7 columns, or
+The paper has two states. The robot's own columns are repeated in every element's row, as in SARL: 6 + 7 columns, or
 8 + 9 with social forces. The origin is the robot, and the x axis points to the goal. theta is 0, or the heading
 of a unicycle robot, in rad from the x axis, wrapped to -pi to pi; CrowdNav does not wrap it.
 """

@@ -1,11 +1,11 @@
-"""The simulator: E episodes side by side, what their crowd does next, and what a robot's action leads to.
+"""The simulator of E episodes side by side: the crowd's next velocities, and the result of a robot's action.
 
 A step is: `crowd_velocities` (independent of the robot's action), the policy's choice, `transition` (the one place that
 judges outcomes), `advance`. The lookahead calls `transition` with all actions at once. As in CrowdNav, the gap to a
 person is the smallest during the step, in which the robot moves with its action and the person as before the step.
 
-A unicycle robot has a heading. In a step it first turns towards the velocity that it wants, as far as it can, and then
-drives along its new heading.
+A unicycle robot has a heading. In a step it first turns towards the wanted velocity, as far as it can, and then drives
+along its new heading.
 """
 
 from dataclasses import dataclass, replace
@@ -222,7 +222,7 @@ def smallest_gaps(world: World, action: np.ndarray) -> np.ndarray:
 def turned(world: World, wanted: np.ndarray) -> np.ndarray | None:
     """A unicycle robot's heading in rad after a step with the velocity `wanted` (E, 2) or (E, A, 2) in m/s.
 
-    It turns towards that velocity, at most by `TURN_RATE`, and not at all if it wants to stop. None if holonomic.
+    It turns towards that velocity, at most by `TURN_RATE`, and not at all if `wanted` is 0. None if holonomic.
     """
     if world.heading is None:
         return None

@@ -1,8 +1,8 @@
 """How commands declare their options, and which of them `--help` shows.
 
-Each parameter of a command is an option. A parameter whose type is a dataclass stands for one option per field: this
-is how commands share options. The parameter `settings` stands for the knobs of some sections of the config, whose
-defaults and help texts are written once, in `config.py`. Options without a section are those that most people use.
+Each parameter of a command is an option. A parameter whose type is a dataclass stands for one option per field, so that
+commands can share options. The parameter `settings` stands for the knobs of some sections of the config; their defaults
+and help texts are in `config.py`. Options without a section are those that most people use.
 """
 
 import inspect

@@ -1,4 +1,4 @@
-"""What commands share: the options of those that play test episodes, and what to type next."""
+"""What commands share: the options of commands that play test episodes, and suggestions of what to type next."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -91,7 +91,7 @@ class TestOptions:
 
     @property
     def crowd(self) -> dict[str, Any]:
-        """What is given of --humans and --human-speed."""
+        """Those of --humans and --human-speed that are given."""
         given = {"humans": self.humans, "human_speed": self.human_speed}
         return {name: value for name, value in given.items() if value is not None}
 

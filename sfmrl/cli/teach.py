@@ -1,4 +1,4 @@
-"""The commands that look closer: `sfmrl explain`, `sfmrl verify`, `sfmrl doctor`."""
+"""The commands that inspect episodes, runs and the installation: `sfmrl explain`, `sfmrl verify`, `sfmrl doctor`."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
@@ -40,13 +40,13 @@ def explain(
     test: TestOptions,
     settings: dict[str, Any],
     every: int | None = number_option(
-        None, "show every N-th step, and those with events (default a dozen)", 1, MOST_STEPS
+        None, "show every N-th step, and steps with events (default a dozen steps)", 1, MOST_STEPS
     ),
     steps: str | None = option(None, "show these steps, e.g. 10:20 (default the whole episode)"),
     as_json: bool = option(False, "print JSON: all steps, all numbers", "--json"),
     csv: Path | None = option(None, "write all numbers to this file, one line per step"),
 ) -> None:
-    """Take an episode apart: each step's reward by term, and what the paper's rewards would have paid."""
+    """Print an episode step by step: each step's reward by term, and what the paper's rewards would have paid."""
     from sfmrl.episodes import play_episodes
     from sfmrl.lessons.explain import chosen_steps, explain_episode
     from sfmrl.lessons.explanation_tables import explanation_parts
@@ -74,21 +74,21 @@ def verify(
     ),
     *,
     episodes: int = number_option(
-        100, "play at most this many test episodes, or demonstrations, again (default 100)", 1, MOST_EPISODES
+        100, "replay at most this many test episodes or demonstrations (default 100)", 1, MOST_EPISODES
     ),
     tolerance: float | None = number_option(
-        None, "share of them that may end differently (default 0, or 0.05 if this machine computes other bits)", 0, 1
+        None, "share of these that may end differently (default 0, or 0.05 if this machine computes other bits)", 0, 1
     ),
     trust_reward: bool = options.TRUST_REWARD,
     threads: int | None = options.THREADS,
 ) -> None:
-    """Check runs that were handed in: files against SHA256SUMS, weights by playing episodes again.
+    """Check runs that were handed in: compare files with SHA256SUMS, and replay episodes with the weights.
 
-    Archives are unpacked into a temporary folder. Several runs get one line each; those with the same weights are
-    named: copies, or the same command and seed. Exit code 0 if all that could be checked agrees, else 1, or 2 if the
-    only run cannot be read. Digests can be forged by recomputing them; the replayed test cannot. Who trained the
-    weights, and how, is not checked. If the run has its own reward, that is Python code, and is run only with
-    --trust-reward: read it first.
+    Archives are unpacked into a temporary folder. Several runs get one line each; runs with the same weights are named:
+    they are copies, or have the same command and seed. Exit code 0 if all that could be checked agrees, else 1, or 2 if
+    the only run cannot be read. Digests can be recomputed and so forged; the replayed test cannot. It is not checked
+    who trained the weights, and how. A run's own reward is Python code, which is run only with --trust-reward: read it
+    first.
     """
     from sfmrl.lessons.handed_in import runs_in, same_weights
     from sfmrl.lessons.verify import verify as findings_of

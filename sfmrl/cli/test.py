@@ -12,7 +12,7 @@ from sfmrl.cli.session import TestOptions, code_facts
 from sfmrl.config import ConfigError, counted
 from sfmrl.runs.files import csv_text
 
-SOCIAL = option(False, "print another table: how the robot treats people", "--social")
+SOCIAL = option(False, "also print a table of how the robot treats people", "--social")
 LISTED = 12  # failed episodes whose numbers are printed
 
 
@@ -66,7 +66,7 @@ def evaluate(
 
 @command("sfmrl compare sarl sarl-sfm6 orca --environment table2", "simulation", "reward", "planner", plays=True)
 def compare(
-    policies: list[str] = typer.Argument(..., help="two or more, as for eval; all are compared with the first"),
+    policies: list[str] = typer.Argument(..., help="two or more policies; all are compared with the first"),
     *,
     episodes: int = options.EPISODES,
     test: TestOptions,

@@ -27,7 +27,7 @@ class TrainingOptions:
     """The options that both trainings have."""
 
     config: Path | None = option(None, "take the settings from a run's config.json; other options override them")
-    run: Path | None = option(None, "run folder to make (default a new one under runs/)")
+    run: Path | None = option(None, "run folder to create (default a new one under runs/)")
     resume: Path | None = option(
         None,
         "resume this run; it ends with the same bits as if it had never stopped",
@@ -90,7 +90,7 @@ def _values(config: Any, names: dict[str, Any]) -> dict[str, Any]:
 
 @command("sfmrl il --preset paper --seed 1", "", "simulation", "reward", "planner", "imitation")
 def il(variant: str | None = VARIANT, *, settings: dict[str, Any], training: TrainingOptions) -> None:
-    """Imitation: learn the values of situations from ORCA's demonstrations."""
+    """Learn by imitation: play demonstrations by ORCA, and fit the values of their situations."""
     from sfmrl.runs.create import create_run, unusual_simulation
     from sfmrl.runs.training import run_imitation
 
@@ -127,7 +127,7 @@ def rl(
     training: TrainingOptions,
     threads: int | None = options.THREADS,
 ) -> None:
-    """Reinforcement: continue from the imitation network by deep V-learning, then test."""
+    """Learn by reinforcement: train the imitation network further by deep V-learning, then test it."""
     from sfmrl.policies import available_cores
     from sfmrl.runs.create import start_run
     from sfmrl.runs.training import run_reinforcement
@@ -152,7 +152,7 @@ def rl(
 def _new_config(
     variant: str | None, map_file: Path | None, settings: dict[str, Any], training: TrainingOptions
 ) -> Config:
-    """Return the config of a new reinforcement, which is tested where it trains unless another place is given."""
+    """Return the config of a new reinforcement; its test environment is by default that of the training."""
     from sfmrl.maps import why_unsolvable
     from sfmrl.scenes import sample_scenes
 

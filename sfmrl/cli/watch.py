@@ -19,7 +19,7 @@ STILLS = 6  # printed to a pipe
 
 @dataclass(frozen=True)
 class Look:
-    """The options that say what of an episode is shown, and how."""
+    """The options that choose which part of an episode is shown, and how."""
 
     frames: int | None = number_option(None, "show N stills (default 6 in a pipe, 1 in an SVG)", 1, 10_000)
     at: float | None = number_option(None, "show the still at this time, s", 0, 3600)
@@ -53,7 +53,7 @@ class Look:
         return columns, lines
 
     def plain(self) -> bool:
-        """Return whether the characters are to be 7-bit: if asked, or if the output cannot show others."""
+        """Return whether to use 7-bit characters: with --ascii, or if the output cannot show others."""
         shown = self.svg is None and self.cast is None
         unicode = (out.encoding or "").lower().startswith("utf") and not out.legacy_windows
         return self.ascii_only or (shown and not unicode)
