@@ -150,7 +150,9 @@ def sample_scenes(
     in_range("people", people or 0, 0, np.inf)
     circle = in_range("circle", circle_of(people) if circle is None else circle, RADIUS, 1e6, whole=False)
     if random_attributes and people_speed is not None:
-        raise ConfigError("one speed for all humans and random attributes exclude each other; leave out one of them")
+        raise ConfigError(
+            "a speed for all humans (--human-speed) and --random-attributes exclude each other; leave out one"
+        )
 
     rngs = [generator(seed, phase, number) for number in numbers]
     environments = [environment_of(name) for name in shares]

@@ -219,6 +219,7 @@ WRONG_USE = [
     (("eval", ""), ("the name of a policy is empty", "leave it out to take the newest run")),
     (("eval", "orac"), ("there is no policy orac", "linear, orca, sfm", "did you mean orca?")),
     (("eval", "runs/none"), ("there is no policy runs/none",)),
+    (("eval", "mine.py"), ("mine.py is Python code; name the policy in it, mine.py:FUNCTION",)),
     (("eval", "orca", "--episode", "5"), ("--episode", "--episodes")),
     (("eval", "orca", "--episodes", "0"), ("--episodes",)),
     (("eval", "orca", "--environment", "7"), ("there is no environment '7'", "table1")),
@@ -878,3 +879,19 @@ def test_a_run_is_replaced_only_if_the_new_one_can_start(in_process, tmp_path):
     (tmp_path / "il" / "test.csv").write_text("mine")
     assert in_process("il", *TINY_IL, "--run", "il", "--overwrite").returncode == 0
     assert (tmp_path / "il" / "test.csv").read_text() == "mine"
+
+
+def test_a_result_names_the_settings_that_it_was_measured_with(in_process: Call):
+    words = ["eval", "linear", "--episodes", "2", "--environment", "circle5", "--crowd", "sfm", "--no-robot-visible"]
+    title = " ".join(line.strip() for line in in_process(*words).stdout.splitlines()[:2])
+    assert title.startswith("linear, environment circle5, 2 episodes, seed 0, --crowd sfm --no-robot-visible")
+    told = json.loads(in_process(*words, "--json").stdout)
+    assert told["reward"] == "crowd"
+    assert told["settings"] == {"simulation": {"crowd": "sfm", "robot_visible": False}}
+    plain = json.loads(in_process(*words[:6], "--json").stdout)
+    assert "settings" not in plain
+
+
+def test_completion_is_that_of_sfmrl_however_it_is_called(in_process: Call, monkeypatch):
+    monkeypatch.setenv("SHELL", "/bin/bash")
+    assert "complete -o default -F _sfmrl_completion sfmrl" in in_process("--show-completion").stdout

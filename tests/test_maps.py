@@ -255,8 +255,10 @@ def test_sampled_scenes_are_drawn_to_the_nearest_place(environment):
 
 
 def test_scenes_that_no_map_can_show_are_refused():
-    with pytest.raises(ConfigError, match="at most 9 people, and this scene has 10"):
+    with pytest.raises(ConfigError, match="at most 9 people, and this scene has 10; choose another"):
         draw_map(sample_scenes("circle", 1))
+    with pytest.raises(ConfigError, match=r"choose another \(its map, line 15, column 7: 2 touches the robot"):
+        draw_map(sample_scenes("1", [10]))
     near = sample_scenes("map:R..G", 1)
     goal = near.goal.copy()
     goal[0, 0] = near.start[0, 0] + 0.01

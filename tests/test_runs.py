@@ -499,6 +499,10 @@ def test_opening_what_is_no_run_names_those_that_are(tmp_path, monkeypatch):
     with pytest.raises(ConfigError, match=f"nothing does not exist; known runs: {known}"):
         open_run(Path("nothing"))
     (tmp_path / "empty").mkdir()
+    (tmp_path / "part").mkdir()
+    (tmp_path / "part" / "run.json").write_text("{}")
+    with pytest.raises(DamagedFile, match=r"part/config.json is missing; put back a copy"):
+        open_run(tmp_path / "part")
     with pytest.raises(ConfigError, match="empty is not a run folder"):
         open_run(Path("empty"))
     with pytest.raises(ConfigError, match="is a run of sfmrl il; name a run of sfmrl rl"):

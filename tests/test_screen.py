@@ -21,6 +21,7 @@ def test_keys_pause_step_and_change_the_speed():
     assert player.press(" ").press(" ").playing
     assert (player.press(",").moment, player.press(".").moment) == (2, 4)
     assert (player.press("\x1b[D").moment, player.press("\x1b[C").moment) == (2, 4)
+    assert (player.press("\x1bOD").moment, player.press("\x1bOC").moment) == (2, 4)  # as some programs leave them
     assert not player.press(".").playing
     assert (player.press("+").speed, player.press("-").speed) == (2.0, 0.5)
     assert player.press("x") == player
@@ -80,7 +81,8 @@ def test_every_moment_is_shown_and_the_last_one_left(monkeypatch):
 def test_keys_are_obeyed_and_the_terminal_put_back(keyboard):
     type_keys, terminal = keyboard
     before, console, seen = terminal(), screen(), []
-    keys = [b" ", b".", b"\x1b[C", b",", b"++", b"-", b"q"]  # pause, two on, one back, faster, slower, quit
+    # Pause, two on, function keys that do nothing, one back, faster, slower, quit.
+    keys = [b" ", b".", b"\x1b[C", b"\x1bOP", b"\x1b[15~", b",", b"++", b"-", b"q"]
 
     def draw(moment, width, height):
         seen.append(moment)
@@ -90,7 +92,7 @@ def test_keys_are_obeyed_and_the_terminal_put_back(keyboard):
         return picture(moment, width, height)
 
     play_live(draw, LAST, console, speed=0.01)
-    assert seen == [0, 0, 1, 2, 1, 1, 1, 1]
+    assert seen == [0, 0, 1, 2, 2, 2, 1, 1, 1, 1]
     playing, left = playing_and_left(console)
     assert "q quit" in playing
     assert "paused x0.04" in playing

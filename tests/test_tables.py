@@ -447,6 +447,7 @@ def test_the_figure_of_single_runs_has_the_interval_of_each_validation(sfmrl, tm
         (("1", "--out", "f.svg", "--csv", "./f.svg"), "--out and --csv name the same file"),
         (("mine", "mine", "--csv", "f.csv"), "figure takes each run once"),
         (("mine", "mine/", "--csv", "f.csv"), "figure takes each run once"),
+        (("mine", "--csv", "f.csv", "--seeds", "5"), "--seeds selects trainings of a table; leave it out"),
     ],
 )
 def test_a_figure_that_cannot_be_drawn_is_one_line(in_process, words, said):
@@ -467,6 +468,7 @@ def test_jobs_are_printed_as_commands(sfmrl):
         (("table", "1", "--rows", "sarl-sfm9"), "no row 'sarl-sfm9'"),
         (("table", "1", "--preset", "fast"), "no preset 'fast'"),
         (("table", "1", "--on", "moon"), "choose here or ray"),
+        (("table", "1", "--print-jobs", "--json"), "--print-jobs and --json exclude each other"),
         (("table", "1", "--no-train"), "holds no finished run"),
         (("figure", "1", "--seeds", "x"), "neither a seed nor a range"),
         (("table", "1", "--csv", "no/such.csv"), "there is no folder no"),

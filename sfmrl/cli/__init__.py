@@ -66,7 +66,9 @@ def main() -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # letters that its encoding lacks; standard error escapes them
     try:
-        code = app(standalone_mode=False)
+        code = app(
+            prog_name="sfmrl", standalone_mode=False
+        )  # also for python -m sfmrl, whose completion would be Python's
         reason = "interrupted" if code == INTERRUPTED else ""
     except typer.TyperException as error:
         where = getattr(getattr(error, "ctx", None), "command_path", "sfmrl")

@@ -162,8 +162,8 @@ class TestOptions:
                 records.append(evaluation_record(policy, simulation=simulation, **how, progress=advance))
         return records
 
-    def title(self, config: Config, episodes: int) -> str:
-        """Say which episodes these are."""
+    def title(self, config: Config, episodes: int, settings: dict[str, Any]) -> str:
+        """Say which episodes these are, and which settings of theirs were given."""
         from sfmrl.scenes import circle_of, label
 
         words = [f"map {self.map_file}" if self.map_file else f"environment {label(self.where(config))}"]
@@ -171,7 +171,13 @@ class TestOptions:
             words.append(f"{counted(self.humans, 'human')} on a circle of {circle_of(self.humans):g} m")
         if self.human_speed is not None:
             words.append(f"humans at {self.human_speed:g} m/s")
-        return ", ".join([*words, counted(episodes, "episode"), f"seed {self.seed}"])
+        given = as_typed(as_options({name: value for name, value in settings.items() if name != "planner"}))
+        return ", ".join([*words, counted(episodes, "episode"), f"seed {self.seed}", *([given] if given else [])])
+
+    def facts(self, config: Config, settings: dict[str, Any]) -> dict[str, Any]:
+        """Return, for JSON, which episodes these are, the reward that judges them, and the settings that were given."""
+        which = {"environment": self.where(config), "seed": self.seed, "reward": config.reward.reward}
+        return which | self.crowd | ({"settings": settings} if settings else {})
 
     def replay_command(
         self, policy: str | None, config: Config, episode: int, settings: dict[str, Any], versus: str | None = None

@@ -2,16 +2,16 @@
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import typer
 
 from sfmrl.cli import completion, options
 from sfmrl.cli.console import check_new_files, err, print_sheet, saving, say, say_json, say_result
 from sfmrl.cli.options import command, number_option, option
-from sfmrl.cli.session import TestOptions
+from sfmrl.cli.session import TestOptions, exclude
 from sfmrl.config import Config, ConfigError, counted, override
 from sfmrl.runs.files import csv_text, write_text
 from sfmrl.variants import make_config
@@ -30,6 +30,12 @@ class Selection:
         None, "episodes between validations (default quick 250, paper 1000)", 1, 10_000_000
     )
     overwrite: bool = options.OVERWRITE
+
+    def given(self) -> list[str]:
+        """Return the flags that select trainings and are not at their defaults."""
+        values = {field: getattr(self, field.name) for field in fields(self) if field.name != "overwrite"}
+        changed = [field for field, value in values.items() if value != cast(Any, field.default).default]
+        return [f"--{field.name.replace('_', '-')}" for field in changed]
 
     def rows_and_seeds(self, number: int) -> tuple[list[str], list[int]]:
         """Return the names of the rows and the seeds; raises ConfigError on unknown rows, seeds or presets."""
@@ -82,6 +88,8 @@ def table(
     rows, seeds = selection.rows_and_seeds(number)
     if on not in ("here", "ray"):
         raise ConfigError(f"--on {on}: choose here or ray")
+    for flag, value in {"--no-train": no_train, "--json": as_json, "--csv": csv, "--markdown": markdown}.items():
+        exclude({"--print-jobs": print_jobs, flag: value})
     check_new_files(selection.overwrite, csv=csv, markdown=markdown)
     which = (number, selection.preset, seeds, rows, selection.folder)
     trainings = make_jobs(*which, selection.episodes, selection.validation_interval)
@@ -155,6 +163,8 @@ def figure(
         raise ConfigError(f"figure draws one table, or runs; it got {', '.join(targets)}")
     if len({os.path.realpath(target) for target in targets}) < len(targets):
         raise ConfigError(f"figure takes each run once; it got {', '.join(targets)}")
+    if not tables and (given := selection.given()):
+        raise ConfigError(f"{given[0]} selects trainings of a table; leave it out to draw runs")
     lines = table_validations(selection.finished(int(tables[0]))) if tables else run_validations(targets)
     if not (out or csv):
         raise ConfigError("figure writes files; name one, such as --out validation.svg or --csv validation.csv")
@@ -166,6 +176,7 @@ def figure(
         say(f"wrote {out}")
     if csv:
         write_text(csv, csv_text(lines))
+        say(f"wrote {csv}")
 
 
 @command("sfmrl plot sarl --environment 2 --episode 3 --out episode.png", "simulation", "reward", "planner", plays=True)

@@ -46,15 +46,15 @@ def evaluate(
     rows = [row | more for row, more in zip(episode_rows(record), social_rows(record), strict=True)] if csv else []
     with saving(csv_text(rows), csv):
         if as_json:
-            what = {"policy": name} | code_facts([name]) | {"environment": test.where(config), "seed": test.seed}
-            say_json(what | test.crowd | result | {"social": social_metrics(record)})
+            what = {"policy": name} | code_facts([name]) | test.facts(config, settings)
+            say_json(what | result | {"social": social_metrics(record)})
             return
-        print_metrics(result, f"{name}, {test.title(config, episodes)}")
+        print_metrics(result, f"{name}, {test.title(config, episodes, settings)}")
         if social:
             print_social(social_metrics(record))
     if failures := result["failures"]:
         failed = ", ".join(str(failure["episode"]) for failure in failures[:LISTED])
-        see = test.replay_command(policy, config, failures[0]["episode"], settings)
+        see = test.replay_command(name, config, failures[0]["episode"], settings)
         more = ", ..." if len(failures) > LISTED else ""
         say(f"{counted(len(failures), 'episode')} ({failed}{more}) failed; see one: {see}")
     failed_scenes = record.scenes.take(record.outcome != "success")
@@ -90,11 +90,11 @@ def compare(
     comparison = compare_records(records, chosen, policies)
     with saving(csv_text(comparison_rows(records, policies)) if csv else "", csv):
         if as_json:
-            what = code_facts(policies) | {"environment": test.where(config), "seed": test.seed}
-            say_json(what | test.crowd | comparison)
+            say_json(code_facts(policies) | test.facts(config, settings) | comparison)
             return
         recovering = [row["policy"] for row in comparison["policies"] if "recovered" in row]
-        title = test.title(config, episodes) + (f"\nwith recovery: {', '.join(recovering)}" if recovering else "")
+        title = test.title(config, episodes, settings)
+        title += f"\nwith recovery: {', '.join(recovering)}" if recovering else ""
         for sheet in comparison_sheets(comparison, title):
             print_sheet(sheet)
         if social:

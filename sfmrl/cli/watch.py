@@ -126,13 +126,14 @@ def _replay(
 
     policies, named, config = test.choose_all(names, settings)
     scene = test.scene(test.where(config), episode, config)
-    if reason := why_unsolvable(scene, config.simulation):
-        say(reason)
-    stories = []
+    stories, failed = [], False
     for policy in policies:
         simulation = simulation_for(policy, config, settings)
         record = play_episodes(scene, policy, config.reward, simulation, discount=config.discount, keep=True)
         stories.append(make_story(record, policy, config.reward, config.discount))
+        failed |= bool((record.outcome != "success").all())
+    if failed and (reason := why_unsolvable(scene, config.simulation)):
+        say(reason)
     labels = tuple(Path(name).name for name in named)
     differ = len(set(labels)) == len(labels)  # they do not if runs in two folders have the same name
     return Replay(tuple(stories), labels if differ else tuple(named), ascii_only=ascii_only)

@@ -139,9 +139,11 @@ def _range(steps: str, count: int) -> tuple[int, int]:
     try:
         first = int(low) if low.strip() else 1
         last = (int(high) if high.strip() else count) if colon else first
+        if first > last:
+            raise ValueError
     except ValueError:
         raise ConfigError(f"--steps is {steps!r}; write the first and the last step, as in 10:20") from None
-    if not 1 <= first <= min(last, count):
+    if not 1 <= first <= count:
         raise ConfigError(f"--steps is {steps!r}; the episode has steps 1 to {count}, write e.g. 1:{min(10, count)}")
     return first, last
 

@@ -45,7 +45,10 @@ def draw_map(scenes: Scenes, episode: int = 0) -> str:
     in one place.
     """
     text = "\n".join(_lines(scenes, episode)) + "\n"
-    parse(text, "the drawing")
+    try:
+        parse(text, "its map")
+    except ConfigError as error:
+        raise ConfigError(f"this scene cannot be drawn as a map; choose another ({error})") from None
     return text
 
 
@@ -75,7 +78,7 @@ def _lines(scenes: Scenes, episode: int = 0) -> list[str]:
     start, goal, square = scenes.start[episode], scenes.goal[episode], scenes.square[episode]
     people = np.flatnonzero(~square & ~np.isnan(start[:, 0]))[1:]
     if len(people) > len(PEOPLE):
-        raise ConfigError(f"a map shows at most {len(PEOPLE)} people, and this scene has {len(people)}")
+        raise ConfigError(f"a map shows at most {len(PEOPLE)} people, and this scene has {len(people)}; choose another")
     characters = ["R", "G", *PEOPLE[: len(people)], *"#" * square.sum(), *GOALS[: len(people)]]
     points = np.concatenate((start[:1], goal[:1], start[people], start[square], goal[people])) / CELL
     # The middle of the drawing is the middle of a place, or the corner of four: whichever fits better, in x and in y.
@@ -90,6 +93,8 @@ def _lines(scenes: Scenes, episode: int = 0) -> list[str]:
             continue  # the opposite place is the default
         at = int((rows - 1) / 2 - place[1]), int(place[0] + (columns - 1) / 2)
         if drawn[at] != ".":
-            raise ConfigError(f"a map has one character per place, but {drawn[at]} and {character} share one here")
+            raise ConfigError(
+                f"a map has one character per place, but {drawn[at]} and {character} share one; choose another scene"
+            )
         drawn[at] = character
     return ["".join(line) for line in drawn]

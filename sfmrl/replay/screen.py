@@ -23,7 +23,14 @@ from sfmrl.replay.panel import SHADES
 
 SPEEDS = (0.01, 64.0)  # times real time, the slowest and the fastest
 LONGEST_WAIT = 0.2  # s between two checks whether the terminal was resized
-STEP_KEYS = {",": -1, "\x1b[D": -1, ".": 1, "\x1b[C": 1}  # comma and full stop, or the arrow keys
+STEP_KEYS = {
+    ",": -1,
+    "\x1b[D": -1,
+    "\x1bOD": -1,
+    ".": 1,
+    "\x1b[C": 1,
+    "\x1bOC": 1,
+}  # comma and full stop, or the arrow keys
 HINTS = "? legend  q quit  space pause  , . step  + - speed"  # the most important ones first
 LEGEND_COLUMNS, SYMBOL_COLUMNS = 40, 8  # of the legend, and of the symbols in it
 LEGEND = (
@@ -180,7 +187,9 @@ def _keyboard() -> Iterator[Callable[[float], list[str]] | None]:
         if not select.select([terminal], [], [], seconds)[0]:
             return []
         pressed = os.read(terminal, 64).decode(errors="ignore")
-        return re.findall(r"\x1b\[.|.", pressed, re.DOTALL) or ["q"]  # nothing to read: the terminal is gone
+        return re.findall(r"\x1b\[[0-9;]*.|\x1bO.|.", pressed, re.DOTALL) or [
+            "q"
+        ]  # nothing to read: the terminal is gone
 
     before = termios.tcgetattr(terminal)
     try:

@@ -107,6 +107,8 @@ class Run:
 
 def open_run(folder: Path, kind: str | None = None) -> Run:
     """Open a run folder; raises ConfigError if it is none, or of another kind, and DamagedFile if it is damaged."""
+    if (folder / "run.json").is_file() and not (folder / "config.json").exists():
+        raise DamagedFile(f"{folder / 'config.json'} is missing; put back a copy")
     if not (folder / "run.json").is_file() or not (folder / "config.json").is_file():
         what = "is not a run folder: it has no run.json and config.json" if folder.exists() else "does not exist"
         runs = [f"{path} (being trained)" if in_training(path) else str(path) for path in run_folders()]

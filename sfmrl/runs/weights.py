@@ -99,12 +99,14 @@ def find_weights(name_or_path: str | Path) -> Path:
     Raises ConfigError if there is none, or only of an earlier version; DamagedFile if a run is damaged.
     """
     models, path = model_names(), Path(name_or_path)
+    if path.suffix == ".py":
+        raise ConfigError(f"{path} is Python code; name the policy in it, {path}:FUNCTION")
     if str(name_or_path) in models:
         return MODELS / f"{name_or_path}.npz"
     if not path.exists():
         raise ConfigError(
-            f"there is no policy {name_or_path}; name {', '.join(POLICIES)}, a model (see sfmrl models), a run folder "
-            f"or a weights file{suggest(path, [*POLICIES, *models])}"
+            f"there is no policy {name_or_path}; name {', '.join(POLICIES)}, a model (see sfmrl models), a run folder, "
+            f"a weights file or file.py:function{suggest(path, [*POLICIES, *models])}"
         )
     if not path.is_dir():
         return path
