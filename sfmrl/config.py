@@ -1,8 +1,8 @@
 """Every setting of sfmrl with its default, unit, source and help text; its option is generated from them.
 
 The defaults are the paper's ("Effects of a Social Force Model reward in Robot Navigation based on Deep Reinforcement
-Learning", Gil and Sanfeliu) or, marked "CrowdNav", those of CrowdNav/SARL (Chen et al., 2019); those marked "ours", and
-the planner, are sfmrl's own.
+Learning", Gil and Sanfeliu) or, where it names none, those of CrowdNav/SARL (Chen et al., 2019), on which it is built;
+those marked "ours", and the planner, are sfmrl's own.
 """
 
 import difflib
@@ -86,7 +86,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Simulation(Settings):
-    """Who the humans are, how they move, and when an episode ends; CrowdNav's values, except where they are marked."""
+    """Who the humans are, how they move, and when an episode ends."""
 
     time_step: float = knob(0.25, "length of a step, s", 1e-3, 1)
     time_limit: float = knob(

@@ -889,7 +889,7 @@ def test_a_result_names_the_settings_that_it_was_measured_with(in_process: Call)
     assert told["reward"] == "crowd"
     assert told["settings"] == {"simulation": {"crowd": "sfm", "robot_visible": False}}
     plain = json.loads(in_process(*words[:6], "--json").stdout)
-    assert "settings" not in plain
+    assert plain["settings"] == {}
 
 
 def test_completion_is_that_of_sfmrl_however_it_is_called(in_process: Call, monkeypatch):

@@ -174,10 +174,9 @@ class TestOptions:
         given = as_typed(as_options({name: value for name, value in settings.items() if name != "planner"}))
         return ", ".join([*words, counted(episodes, "episode"), f"seed {self.seed}", *([given] if given else [])])
 
-    def facts(self, config: Config, settings: dict[str, Any]) -> dict[str, Any]:
-        """Return, for JSON, which episodes these are, the reward that judges them, and the settings that were given."""
-        which = {"environment": self.where(config), "seed": self.seed, "reward": config.reward.reward}
-        return which | self.crowd | ({"settings": settings} if settings else {})
+    def facts(self, config: Config) -> dict[str, Any]:
+        """Return, for JSON, which episodes these are."""
+        return {"environment": self.where(config), "seed": self.seed} | self.crowd
 
     def replay_command(
         self, policy: str | None, config: Config, episode: int, settings: dict[str, Any], versus: str | None = None
@@ -205,6 +204,11 @@ def simulation_for(policy: Any, config: Config, settings: dict[str, Any]) -> Sim
     if not isinstance(own, Config) or "kinematics" in settings.get("simulation", {}):
         return config.simulation
     return replace(config.simulation, kinematics=own.simulation.kinematics)
+
+
+def setting_facts(config: Config, settings: dict[str, Any]) -> dict[str, Any]:
+    """Return, for JSON, the reward that judges the episodes, and the settings that were given."""
+    return {"reward": config.reward.reward, "settings": settings}
 
 
 def code_facts(policies: list[str]) -> dict[str, Any]:

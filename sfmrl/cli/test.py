@@ -8,7 +8,7 @@ import typer
 from sfmrl.cli import options
 from sfmrl.cli.console import check_new_files, print_metrics, print_sheet, print_social, saving, say, say_json
 from sfmrl.cli.options import command, option
-from sfmrl.cli.session import TestOptions, code_facts
+from sfmrl.cli.session import TestOptions, code_facts, setting_facts
 from sfmrl.config import ConfigError, counted
 from sfmrl.runs.files import csv_text
 
@@ -46,8 +46,8 @@ def evaluate(
     rows = [row | more for row, more in zip(episode_rows(record), social_rows(record), strict=True)] if csv else []
     with saving(csv_text(rows), csv):
         if as_json:
-            what = {"policy": name} | code_facts([name]) | test.facts(config, settings)
-            say_json(what | result | {"social": social_metrics(record)})
+            what = {"policy": name} | code_facts([name]) | test.facts(config)
+            say_json(what | result | {"social": social_metrics(record)} | setting_facts(config, settings))
             return
         print_metrics(result, f"{name}, {test.title(config, episodes, settings)}")
         if social:
@@ -90,7 +90,7 @@ def compare(
     comparison = compare_records(records, chosen, policies)
     with saving(csv_text(comparison_rows(records, policies)) if csv else "", csv):
         if as_json:
-            say_json(code_facts(policies) | test.facts(config, settings) | comparison)
+            say_json(code_facts(policies) | test.facts(config) | comparison | setting_facts(config, settings))
             return
         recovering = [row["policy"] for row in comparison["policies"] if "recovered" in row]
         title = test.title(config, episodes, settings)
