@@ -66,9 +66,8 @@ def main() -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # letters that its encoding lacks; standard error escapes them
     try:
-        code = app(
-            prog_name="sfmrl", standalone_mode=False
-        )  # also for python -m sfmrl, whose completion would be Python's
+        # The name is given since completion would else be that of python, with python -m sfmrl.
+        code = app(prog_name="sfmrl", standalone_mode=False)
         reason = "interrupted" if code == INTERRUPTED else ""
     except typer.TyperException as error:
         where = getattr(getattr(error, "ctx", None), "command_path", "sfmrl")
