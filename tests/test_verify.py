@@ -103,7 +103,7 @@ TAMPERED = {
         {"SHA256SUMS", "weights.npz", "replay", "recovery"},
     ),
     "a bit of the config": (lambda run: flip(run / "config.json"), {"SHA256SUMS", "run.json"}),
-    "no weights": (lambda run: (run / "weights.npz").unlink(), {"SHA256SUMS", "training"}),
+    "no weights": (lambda run: (run / "weights.npz").unlink(), {"SHA256SUMS", "training", "weights.npz", "replay"}),
     "no tests": (lambda run: (run / "test.csv").write_text(""), {"SHA256SUMS", "result.json", "replay"}),
     "a lost table": (lambda run: (run / "validation.csv").unlink(), {"SHA256SUMS"}),
     "a validation": (

@@ -51,10 +51,7 @@ def verify(
     except (ConfigError, DamagedFile, *MALFORMED, OSError) as error:
         yield Finding("run.json", False, f"the run cannot be opened, so no more is checked: {error}")
         return
-    done = _finding("training", _finished, run)
-    yield done
-    if not done.ok:
-        return  # all that follows is there only at the end
+    yield _finding("training", _finished, run)
     yield _finding("tables", _tables, run)
     yield _finding(WEIGHTS, _weights, run)
     if ":" in run.config.reward.reward:
