@@ -16,6 +16,7 @@ from sfmrl.config import Config
 from sfmrl.exploration import Explored, explore
 from sfmrl.fast import FastNetwork
 from sfmrl.lookahead import SarlPolicy
+from sfmrl.own_code.trust import check_unchanged
 from sfmrl.runs.progress import SIGNALS, held_back
 
 
@@ -23,11 +24,11 @@ class Explorer:
     """Plays training episodes with a network, on a second process if `aside`; a context manager.
 
     Threads would not do: the network's operations are many and small, and between them, threads of one process wait for
-    each other. If the second process is killed, this one plays.
+    each other. If the second process is killed, this one plays. `own_reward` is the SHA-256 of the user's own reward.
     """
 
-    def __init__(self, config: Config, threads: int, aside: bool) -> None:
-        self._config, self._threads = config, threads
+    def __init__(self, config: Config, threads: int, aside: bool, own_reward: str | None = None) -> None:
+        self._setup = (config, threads, own_reward)
         self._pool = None
         if aside:
             spawn = multiprocessing.get_context("spawn")  # a fork would inherit locks that threads hold
@@ -48,7 +49,7 @@ class Explorer:
         Without a second process, that function plays, with the actor as it is then. With one, the actor must not change
         before that function returns.
         """
-        work = partial(_explore, actor, self._config, self._threads, episodes)
+        work = partial(_explore, *self._setup, actor, episodes)
         future = None
         if self._pool:
             with suppress(BrokenProcessPool):
@@ -76,5 +77,9 @@ def _prepare() -> None:
     Thread(target=end_with_it, daemon=True).start()
 
 
-def _explore(actor: FastNetwork, config: Config, threads: int, episodes: Sequence[int]) -> Explored:
-    return explore(SarlPolicy(actor, config, threads), config, episodes)
+def _explore(
+    config: Config, threads: int, own_reward: str | None, actor: FastNetwork, episodes: Sequence[int]
+) -> Explored:
+    explored = explore(SarlPolicy(actor, config, threads), config, episodes)  # which loads the user's own reward
+    check_unchanged(config.reward.reward, own_reward)
+    return explored

@@ -41,6 +41,7 @@ def run_imitation(run: Run, progress: Progress, stop: StopSignal) -> None:
         with stop.watch(progress)("demonstrations", run.config.imitation.episodes) as advance:
             save_demonstrations(demonstrate(run.config, advance), path)
     fill_memory(memory, load_demonstrations(path, run.config.simulation), run.config)
+    run.check_reward()
     network = fit(run, memory, run.load_checkpoint(), progress, stop)
     run.finish(weights_file(network, run.config))
 
@@ -72,7 +73,7 @@ def run_reinforcement(run: Run, progress: Progress, stop: StopSignal, say: Say, 
     for name, rows in (("metrics.csv", learner.rows), ("validation.csv", learner.validations)):
         write_text(run.folder / name, csv_text(rows))  # drop the rows that a killed run added after its checkpoint
     aside, left = settings.parallel > 1 and threads > 1, settings.episodes - learner.episode
-    explorer = Explorer(config, threads - 1 if aside else threads, aside)
+    explorer = Explorer(config, threads - 1 if aside else threads, aside, run.facts.get("own_reward"))
     with explorer, progress("reinforcement", left) as advance:
         while True:
             if validation_due(learner, settings):
