@@ -23,14 +23,8 @@ from sfmrl.replay.panel import SHADES
 
 SPEEDS = (0.01, 64.0)  # times real time, the slowest and the fastest
 LONGEST_WAIT = 0.2  # s between two checks whether the terminal was resized
-STEP_KEYS = {
-    ",": -1,
-    "\x1b[D": -1,
-    "\x1bOD": -1,
-    ".": 1,
-    "\x1b[C": 1,
-    "\x1bOC": 1,
-}  # comma and full stop, or the arrow keys
+# Comma and full stop, or the arrow keys, of which terminals send one form or the other.
+STEP_KEYS = dict.fromkeys((",", "\x1b[D", "\x1bOD"), -1) | dict.fromkeys((".", "\x1b[C", "\x1bOC"), 1)
 HINTS = "? legend  q quit  space pause  , . step  + - speed"  # the most important ones first
 LEGEND_COLUMNS, SYMBOL_COLUMNS = 40, 8  # of the legend, and of the symbols in it
 LEGEND = (
@@ -187,9 +181,8 @@ def _keyboard() -> Iterator[Callable[[float], list[str]] | None]:
         if not select.select([terminal], [], [], seconds)[0]:
             return []
         pressed = os.read(terminal, 64).decode(errors="ignore")
-        return re.findall(r"\x1b\[[0-9;]*.|\x1bO.|.", pressed, re.DOTALL) or [
-            "q"
-        ]  # nothing to read: the terminal is gone
+        keys = re.findall(r"\x1b\[[0-9;]*.|\x1bO.|.", pressed, re.DOTALL)
+        return keys or ["q"]  # nothing to read: the terminal is gone
 
     before = termios.tcgetattr(terminal)
     try:
